@@ -11,8 +11,8 @@ from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, ValidationError, convert
+from msgspec.structs import asdict, replace
 
 from hil.errors import HilError, located, unknown_name
 from hil.experiment import Experiment
@@ -176,10 +176,17 @@ def stated_by(measure: Measure, signals: Signals) -> tuple[Quantity, ...]:
     Raises:
         AssertionError: it says nothing of the kind, in the words of its author.
     """
+    for what, said in (("title", measure.title), ("note", measure.note)):
+        if not isinstance(said, str):
+            raise AssertionError(f"{what} is {said!r:.80}, expected text")
     stated: tuple[Quantity, ...] = asked("quantities(signals)", lambda: tuple(measure.quantities(signals)))
     for quantity in stated:
         if not isinstance(quantity, Quantity):
             raise AssertionError(f"quantities(signals) gave {quantity!r:.80}, expected hil.measure.Quantity objects")
+        try:
+            convert(asdict(quantity), Quantity)
+        except ValidationError as error:
+            raise AssertionError(f"quantities(signals): {quantity.name!r:.40}: {error}") from error
     return stated
 
 

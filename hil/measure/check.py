@@ -52,8 +52,9 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
         if set(found) != set(names):
             raise AssertionError(f"{what}: of(view) gives {sorted(found)}, quantities(signals) name {sorted(names)}")
         for key, value in found.items():
-            if value is not None and not isinstance(value, Real):
-                raise AssertionError(f"{what}: {key} is {value!r:.80}, expected a number, or None where it is not defined")
+            if value is not None and (not isinstance(value, Real) or isinstance(value, bool)):
+                shown = " ".join(repr(value).split())
+                raise AssertionError(f"{what}: {key} is {shown:.80}, expected a number, or None where it is not defined")
             if value is not None and not math.isfinite(value):
                 raise AssertionError(f"{what}: {key} is {value}; a number that is not defined is None")
     if (whole := _numbers(measure, view, "a run")) != _numbers(measure, view, "a run"):

@@ -81,6 +81,11 @@ CALLS = count()
         ("of", lambda self, view: {"effort": float(len(view.run.arrays.get("/plant/state", ())))}, "alone, its topics"),
         ("of", lambda self, view: {"effort": float(next(CALLS))}, "the same run must give the same numbers"),
         ("of", lambda self, view: {"effort": "much"}, "a run: effort is 'much', expected a number, or None"),
+        ("of", lambda self, view: {"effort": True}, "a run: effort is True, expected a number, or None"),
+        ("of", lambda self, view: {"effort": np.ones((20, 9))}, r"effort is array.*, expected a number, or None"),
+        ("title", 3, "title is 3, expected text"), ("note", False, "note is False, expected text"),
+        ("quantities", lambda self, signals: (Quantity(name="effort", title="energy", unit=3),),
+         r"quantities\(signals\): 'effort': Expected `str`, got `int` - at `\$.unit`"),
         ("quantities", lambda self, signals: (), "a measure has at least one quantity"), ("title", None, "title"),
     ],
 )  # fmt: skip
