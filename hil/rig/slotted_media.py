@@ -18,7 +18,7 @@ from hil.rig.sensors import Sensor, SharedMedium
 from transport.errors import NotKnown
 from transport.laws import NetworkLaw
 from transport.laws.delay_states import delay_states
-from transport.medium import Medium, SampleClock
+from transport.medium import Medium
 from transport.medium.independent import Impairment
 
 Samples = tuple[tuple[int, int], ...]  # (node, age of its sample) each
@@ -202,7 +202,6 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
     if common > MOST_PHASES:
         said = f"the clocks of the nodes come together every {common} slots"
         raise NotKnown(f"{said}, the theory takes cycles of {MOST_PHASES} slots")
-    running = [SampleClock(every=clock.every, phase=clock.phase) for clock in clocks]
     waits: Samples = ()
     carried: list[Samples] = []
     seen: dict[Samples, int] = {}
@@ -210,7 +209,7 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
         k = len(carried)
         if k % common == 0:
             seen[waits] = k
-        now, waits = _arbitrated(waits, [clock.due(k) for clock in running], order, frames)
+        now, waits = _arbitrated(waits, [k % clock.every == clock.phase for clock in clocks], order, frames)
         carried.append(now)
     first = seen[waits]
     period = len(carried) - first
