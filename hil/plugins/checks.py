@@ -308,6 +308,8 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
             shape = f"{expected} row{'s' * (expected > 1)} of {m} input{'s' * (m > 1)} in a tuple of tuples"
             what = f"rows() returned {rows!r:.80}, expected {shape}"
             numbers = asked(what, lambda rows=rows: [[float(u) for u in row] for row in rows])
+            lists = all(isinstance(each, tuple | list) for each in (rows, *rows))
+            assert lists, f"{' '.join(what.split())}; .tolist() makes lists of an array"
             assert len(numbers) == expected, f"{len(numbers)} rows, expected {expected} for {running.selection!r}"
             other = [len(row) for row in numbers if len(row) != m]
             assert not other, f"a row of rows() has {other[0]} numbers, expected {m}, one of each input"

@@ -66,7 +66,9 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
         _demand(bool(signals), f"{name}.{what}: empty")
         _demand(len({s.name for s in signals}) == len(signals), f"{name}.{what}: a name comes twice")
         for signal in signals:
-            _demand(signal.name.isidentifier() and bool(signal.unit), f"{name}.{what}: {signal!r} has no name or no unit")
+            texts = isinstance(signal.name, str) and isinstance(signal.unit, str)
+            said = f"{name}.{what}: {signal!r}, expected a name of letters, digits and _, and a unit ('1' for a pure number)"
+            _demand(texts and signal.name.isidentifier() and bool(signal.unit), said)
     m, p, n = len(plant.inputs), len(plant.outputs), len(plant.states)
     model = plant.model()
     known = all(hasattr(model, matrix) for matrix in "ABC")

@@ -37,6 +37,9 @@ class LinearRun:
     Args:
         model: the equations; D must be zero, as a rig samples before it applies.
         initial_state: x at time 0, n entries.
+
+    Raises:
+        PlantError: an initial state of another length.
     """
 
     __slots__ = ("_applied", "_flow", "_outputs", "_x")
@@ -44,6 +47,8 @@ class LinearRun:
     def __init__(self, model: StateSpace, initial_state: Sequence[float]) -> None:
         self._flow, self._outputs = _parts(model)
         self._x = [float(x) for x in initial_state]
+        if len(self._x) != len(model.A):
+            raise PlantError(f"initial_state: {len(self._x)} numbers, expected {len(model.A)}, one for each state")
         self._applied: tuple[float, ...] = (0.0,) * model.B.shape[1]
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:

@@ -61,6 +61,8 @@ class Answers:
         (0.5, r"rows\(\) returned 0.5, expected 1 row of 1 input in a tuple of tuples"),
         ((0.5,), r"rows\(\) returned \(0.5,\), expected 1 row of 1 input in a tuple of tuples"),
         (None, r"rows\(\) returned None, expected 1 row of 1 input"),
+        (np.zeros((1, 1)), r"rows\(\) returned array.*in a tuple of tuples; \.tolist\(\) makes lists of an array"),
+        ((np.zeros(1),), r"in a tuple of tuples; \.tolist\(\) makes"),
         (((0.5,), (0.5,)), "2 rows, expected 1 for 'constant'"),
         (((0.5, 0.5),), r"a row of rows\(\) has 2 numbers, expected 1"),
         (((float("nan"),),), "a row is not finite"),

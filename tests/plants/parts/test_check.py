@@ -90,6 +90,19 @@ class Twins(Integrator):
     states = (Signal("x", "1"), Signal("x", "1"))
 
 
+class Spaced(Integrator):
+    states = (Signal("the x", "1"),)
+
+
+class Numbered(Integrator):
+    inputs = (Signal("u", 3),)
+
+
+class Longer(Integrator):
+    def start(self, rng):
+        return LinearRun(self.model(), (0.0, 0.0))
+
+
 class Wide(Integrator):
     inputs = (Signal("a", "V"), Signal("b", "V"))
 
@@ -139,6 +152,9 @@ def test_what_a_plant_with_delayed_states_and_a_cost_earns_is_said():
         (Unseeded(), "Unseeded.start: same seed, another state"),
         (Undisturbed(), r"Undisturbed.advance: w moves the state by .* otherwise than u \(slot 0\); hold u \+ w"),
         (Twins(), "Twins.states: a name comes twice"),
+        (Spaced(), r"Spaced.states: Signal\(name='the x', unit='1'\), expected a name of letters, digits and _, and a unit"),
+        (Numbered(), r"Numbered.inputs: Signal\(name='u', unit=3\), expected a name"),
+        (Longer(), "initial_state: 2 numbers, expected 1, one for each state"),
         (Wide(), "Wide.model: 1 inputs, expected 2"),
         (jumps(delay_slopes=(0.1,)), "Jumps.jump_system: 1 delay_slopes, expected 3"),
         (jumps(min_delay_s=1.0), r"Jumps.jump_system: min_delay_s 1, expected 0 to max_delay_s \(0.3\)"),
