@@ -22,7 +22,8 @@ class Haptics:
 
     title: ClassVar[str] = "Haptics"
     note: ClassVar[str] = (
-        "The wall begins at position 0. Energy given is that of the motor minus that of the damping: 0 behind a safe coupler."
+        "The wall begins at position 0. Energy given is that of the motor minus that of the damping: 0 behind a safe coupler, "
+        "but for what is stored where the device begins behind the surface."
     )
     topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, APPLIED, STATE.name)
 

@@ -60,7 +60,8 @@ def section(view: RunView) -> Section | None:
         blocks += [_map(path, loop.controller.wall, shown), _space(path, shown)]
     part = "" if path is None or len(path.t_s) < MOST_ANSWERS else f" It is followed over the first {path.t_s[-1]:.6g} s."
     said = "computed again from the log" if path is None or path.same else (
-        "computed again from the log, but its forces are not those that were logged: another program answered"
+        "computed again from the log, but its forces are not those that were logged: another program answered, a fault froze "
+        "what came to the controller, or the run was changed"
     )
     return Section(
         title="At the wall", place=PLACE, blocks=tuple(blocks), columns=2,
@@ -115,7 +116,8 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Block]:
         found.append(
             Figure(
                 title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
-                note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler.",
+                note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler, but for what is "
+                "stored where the device begins behind the surface.",
             )
         )  # fmt: skip
     damper = run.arrays.get(PASSIVITY.name)

@@ -5,6 +5,7 @@ Packets carry single precision: the controller received the samples rounded to i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from msgspec import Struct
 
 from design.controllers import MultiSampleController
+from design.controllers.contract import Rows
 from design.controllers.rendered_wall import WallController
 from hil.compose import compose
 from hil.errors import HilError
@@ -53,6 +55,8 @@ class HasContact(Protocol):
     @property
     def contact(self) -> ContactState: ...
 
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows: ...
+
 
 class AvatarPath(Struct, frozen=True, kw_only=True):
     """The path of the avatar, for every slot that the controller answered from a sample.
@@ -84,6 +88,11 @@ def wall_loop_of(view: RunView) -> Loop | None:
     return loop if loop is not None and isinstance(loop.controller, WallController) else None
 
 
+def _started(loop: Loop) -> HasContact | None:
+    controller = loop.start_controller()
+    return controller if isinstance(controller, HasContact) and not isinstance(controller, MultiSampleController) else None
+
+
 def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     """Return the avatar's path; None where the controller does not say what it touches, or nothing was answered.
 
@@ -91,8 +100,8 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
         view: the run.
         loop: what ran, of `wall_loop_of`.
     """
-    controller = loop.start_controller()
-    if not isinstance(controller, HasContact) or isinstance(controller, MultiSampleController):
+    controller = _started(loop)
+    if controller is None:
         return None
     answers = view.run.arrays[ROWS.name][:MOST_ANSWERS]
     measured = view.run.arrays[MEASUREMENT]
@@ -103,10 +112,12 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     first = next((n for n in answers.dtype.names or () if n.startswith("row0_")), None)
     reference = loop.reference()
     found: list[tuple[float, float, int, float, float]] = []
-    same = first is not None
+    same, restarts = first is not None, [slot for slot, _ in loop.rig.fault_schedule.restarts]
     for k, sample_ns, tau, force in zip(
         answers["slot"].tolist(), answers["sample_ns"].tolist(), answers["tau"].tolist(), answers[first or "slot"].tolist()
     ):
+        while restarts and restarts[0] <= k:
+            controller, restarts = _started(loop) or controller, restarts[1:]
         taken = k - tau
         if sample_ns < 0 or taken not in samples:
             continue

@@ -74,6 +74,18 @@ def test_the_page_says_the_delay_that_the_loop_has_and_not_the_largest_that_it_h
     assert f"behind a delay of {samples} samples" in found.intro and margin.markers[0].x == samples
 
 
+def test_what_a_fault_froze_is_not_said_to_come_of_another_program_alone():
+    frozen, whole = "fault=[{at=2,kind='freeze',link='sc',for=0.5}]", "fault=[{at=2,kind='cut',link='sc',for=0.1}]"
+    said = [section("omni-push", "duration=4", fault)[1].intro for fault in (frozen, whole)]
+    assert "a fault froze what came to the controller" in said[0] and "not those that were logged" not in said[1]
+
+
+def test_energy_that_was_stored_at_the_start_is_named_beside_what_a_safe_coupler_gives():
+    found = section("omni-push", "duration=1", "plant.initial_angle_rad=0.1", "plant.hand.push.force_n=0")[1]
+    (note,) = [block.note for block in found.blocks if block.title == "Passivity observer"]
+    assert note.endswith("0 behind a safe coupler, but for what is stored where the device begins behind the surface.")
+
+
 def test_a_wall_over_what_measures_no_position_has_no_margin_over_delay():
     plant = "plant={kind='state-space',A=[[0,1],[0,-2]],B=[[0],[1]],C=[[2,0],[0,0],[0,0]]}"
     found = section("omni-push", plant, "limits={}", "duration=0.5", "allow_uncertified=true", "report.measures=[]")[1]

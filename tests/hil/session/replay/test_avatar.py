@@ -61,6 +61,13 @@ def test_forces_of_another_program_are_reported():
     assert avatar_path(view, wall_loop_of(view)).same and not avatar_path(other, wall_loop_of(other)).same
 
 
+def test_a_restart_forgets_the_avatar_too():
+    fault = "fault=[{at=2,kind='controller-restart',for=0.2},{at=3,kind='controller-restart'}]"
+    experiment = load_experiment("omni-push", ["duration=5", fault])
+    view = view_of(simulate(compose(experiment), 0), experiment)
+    assert avatar_path(view, wall_loop_of(view)).same
+
+
 def test_a_controller_that_does_not_say_what_it_touches_has_no_path(monkeypatch):
     experiment = load_experiment("omni-push", ["duration=2"])
     view = view_of(simulate(compose(experiment), 0), experiment)
