@@ -46,10 +46,10 @@ def _gains_exist(system: JumpSystem, sections: int, form: Form) -> LmiSolution:
             program = feedback_program(system, process, asked.nodes, "pwc", 100.0, 0.0, condition, sound=False)
         else:
             program = feedback_program(system, process, asked.nodes, asked.method, 100.0, 0.0, condition)
-        found = decide(program)
+        found = program.solve()
         if found.holds or found.refused:
-            break
-    return found
+            return found
+    return decide(program)
 
 
 def _word(found: LmiSolution) -> str:

@@ -30,7 +30,9 @@ from design.semi_markov_loop.robust_feedback import Synthesis
 from design.tracking.synthesis import TrackingProblem
 from hil.pages import Bars, Histogram
 from hil.thesis import Stage
+from hil.thesis.chapter7_friction import loop_of
 from hil.thesis.chapter7_models import H2
+from hil.thesis.chapter7_runs import ideal
 from hil.thesis.judgement import Approximately, NotJudged
 from hil.thesis.noisy_runs import delayed_runs
 from hil.thesis.statements import judge, last_digit, named
@@ -61,6 +63,9 @@ def seen() -> JumpCertificate:
     return JumpCertificate(method="", verdict="certified", reason="", gamma=1.0, gain=chapter4_seen_gain(partitioned=True))
 
 
+SHORTER = "duration=31 s"
+"""Until a second after the disturbance."""
+
 SMALLER: dict[str, Any] = {
     "chapter2_runs.RUNS": 30, "chapter2_feasibility.BOUNDS": (5.0,), "chapter2.largest_uncertainty": scale,
     "chapter3.delayed_hinf": certificate, "chapter3.analyse_delayed": certificate,
@@ -70,15 +75,17 @@ SMALLER: dict[str, Any] = {
     "chapter3_partitions.analyse_delayed": certificate,
     "chapter3_partitions.decay_of": lambda *given: SimpleNamespace(rate=0.05, coefficient=40.0),
     "chapter3_partitions.rates_inside": lambda found: (-found.gamma, -2.0 * found.gamma), "chapter4_simulations.RUNS": 20,
-    "chapter4_simulations.our_gains": seen, "chapter4.our_gains": seen, "chapter7.SMITH_RUNS": 100,
-    "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 3, "chapter7_friction.CHECK_SEEDS": 3,
-    "chapter7_runs.Workers": lambda **_: Workers(), "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
+    "chapter4_simulations.our_gains": seen, "chapter4.our_gains": seen, "chapter7.SMITH_RUNS": 50,
+    "chapter7.ideal": lambda *given: ideal(*given, SHORTER), "chapter7_friction.loop_of": lambda *given: loop_of(*given, SHORTER),
+    "chapter7_friction.BATCH_RUNS": 60, "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 3,
+    "chapter7_friction.CHECK_SEEDS": 3, "chapter7_runs.Workers": lambda **_: Workers(),
+    "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
     "chapter7_designs.GAINS": {("motor", "h2"): H2}, "chapter7_designs.BOUNDS": (0.5,),
     "chapter6_wall.STAYS": ((1, 2), (2, 3), (1, 2)),
     "chapter6_wall.safe_coupler": lambda: stiffest_coupler(range(5), period_s=0.05, damping_n_s_per_m=1.9857).coupler,
 }  # fmt: skip
-"""What takes minutes with the numbers of `hil reproduce`: few runs and problems, one start of a descent, in this process."""
+"""What takes minutes with the numbers of `hil reproduce`: short runs, few problems, one start of a descent, no process."""
 
 NAMES = {
     "chapter2: a Markov approximation": "markov[0] stay",
