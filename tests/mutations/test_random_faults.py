@@ -9,6 +9,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -158,17 +159,30 @@ def test_faults_are_drawn_by_seed_from_every_room(tmp_path: Path) -> None:
     assert len({place.key for place in all_of_them}) == len(all_of_them), "each has a key of its own, alike as they are"
 
 
-def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "copy"
+@pytest.fixture(scope="module")
+def one_judge(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Judge, Path]]:
+    """A judge of a small copy, and its folder."""
+    folder = tmp_path_factory.mktemp("judged") / "copy"
     folder.mkdir()
     (folder / "m.py").write_text(CODE)
     (folder / "tests").symlink_to(ROOT / "tests")
     (folder / "test_m.py").write_text(
-        "from m import kind\ndef test_odd(): assert kind(11) == 'odd'\ndef test_even(): assert kind(12) == 'even'\n"
+        "import tempfile, pathlib\n"
+        "from m import kind\n"
+        "def test_odd(): assert kind(11) == 'odd'\n"
+        "def test_even(): assert kind(12) == 'even'\n"
         "def test_moody(): assert kind(0, loud=False) == 'nothing'\n"
+        "def test_where(tmp_path):\n"
+        "    own = pathlib.Path(tempfile.gettempdir())\n"
+        f"    assert own in tmp_path.parents and own.parent == pathlib.Path({str(folder.parent)!r})\n"
     )
+    with Judge(folder, {"test_m.py::test_moody"}) as judges:
+        yield judges, folder
+
+
+def test_a_fault_is_killed_by_a_test_that_fails(one_judge: tuple[Judge, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    judges, folder = one_judge
     ours = [f"test_m.py::{name}" for name in ("test_odd", "test_even")]
-    judges = Judge(folder, {"test_m.py::test_moody"})
     by_line = {str(place).partition("  ")[2]: place for place in places("m.py", CODE)}
     seen, unseen = by_line["n % 2  ->  (n // 2)"], by_line["raise ValueError(n)  ->  pass"]
     assert judges.killer(seen, ours) == ours[1]
@@ -176,11 +190,11 @@ def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pyt
     assert judges.killer(unseen, ["test_m.py::test_moody", *ours]) is None, "what fails without a fault too kills none"
     assert judges.killer(seen, ["test_m.py::of_yesterday"]) is None
     assert judges.killer(seen, ["test_of_yesterday.py::test_odd"]) is None
-    monkeypatch.setattr(judge, "LIMITS", {resource.RLIMIT_CPU: 3})
+    monkeypatch.setattr(judge, "LIMITS", {resource.RLIMIT_CPU: 2})
     stuck = dataclasses.replace(by_line["range(n, 10)  ->  (range(10, n))"], new="iter(lambda: n, None)")
     assert judges.killer(stuck, ours) == "pytest ends with -9"
     with pytest.raises(UndecidedError):
-        judges.killer(stuck, ours, time.monotonic() + 1.0)
+        judges.killer(stuck, ours, time.monotonic() + 0.5)
     with pytest.raises(UndecidedError):
         judges.killer(seen, ours, time.monotonic())
     monkeypatch.setattr(judge, "BUDGET_S", 0.0)
@@ -189,18 +203,9 @@ def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pyt
     assert (folder / "m.py").read_text() == CODE
 
 
-def test_a_fault_that_removes_temporary_folders_finds_those_of_its_own_tests_alone(tmp_path: Path) -> None:
-    folder = tmp_path / "copy"
-    folder.mkdir()
-    (folder / "m.py").write_text(CODE)
-    (folder / "tests").symlink_to(ROOT / "tests")
-    (folder / "test_m.py").write_text(
-        "import tempfile, pathlib\n"
-        "def test_where(tmp_path):\n"
-        "    own = pathlib.Path(tempfile.gettempdir())\n"
-        f"    assert own in tmp_path.parents and own.parent == pathlib.Path({str(tmp_path)!r})\n"
-    )
-    assert Judge(folder).killer(places("m.py", CODE)[0], ["test_m.py::test_where"]) is None
+def test_a_fault_that_removes_temporary_folders_finds_those_of_its_own_tests_alone(one_judge: tuple[Judge, Path]) -> None:
+    judges, _ = one_judge
+    assert judges.killer(places("m.py", CODE)[0], ["test_m.py::test_where"]) is None
 
 
 @pytest.mark.parametrize("fault", sorted(equivalent()), ids=lambda fault: f"{fault[0]}: {fault[2]}"[:80])
