@@ -6,7 +6,7 @@ Plug-ins are made, the design is solved, what does not fit is refused, and the c
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from design.controllers import (
     row_count,
     row_sojourns_distinguished,
 )
+from design.controllers.rendered_wall import RendersWall
 from design.errors import DesignError, FieldError
 from design.whole_process import one_blas_thread
 from hil.compose.judged import judge
@@ -199,6 +200,8 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
     from hil.certify.historical_loop import delayed_plant_of, known_past
     from hil.certify.jump_loop import process_of, system_of
     from hil.rig.bus_delays import bus_chains
+    from hil.rig.loop_chains import OLDEST_DISTINGUISHED, settled
+    from hil.rig.received_ages import received_ages
 
     plant, sc, ca, chainless = e.plant, chains.sc, chains.ca, chains.why_none
     if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory
@@ -210,6 +213,10 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
             sc, ca = bus_chains(rig, longest=True)
         except NotKnown as why:
             chainless = str(why)
+    if sc is None and ca is not None and isinstance(e.controller, RendersWall):
+        with suppress(NotKnown):  # a coupler is for the delays that come of its node's clock and medium too
+            found = received_ages(rig, chains.arriving, OLDEST_DISTINGUISHED, bands="of a wall")
+            sc = without_held(settled(found, ca)[0])
     jumps: dict[str, Any] = {}
     if isinstance(plant, JumpPlant):
         try:

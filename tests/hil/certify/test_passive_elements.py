@@ -198,3 +198,17 @@ def test_a_material_that_is_never_met_decides_nothing_of_model_following():
     pulls = tuple(row if i == 0 else tuple(-30.0 * each for each in row) for i, row in enumerate(own.feedback))
     found = compose(experiment_of("omni-push", controller=replace(own, feedback=pulls), allow_uncertified=True)).verdict
     assert found.details["spectral_radius"] == loop.verdict.details["spectral_radius"]
+
+
+def test_a_coupler_is_made_for_the_delays_that_its_node_s_clock_and_medium_leave():
+    """It was made for the largest age that has a row, and was not stable at the age that comes."""
+    tip = {"outputs": ["position", "y", "z"]}
+    turns = {"network.media": {"bus": {"kind": "round-robin", "nodes": ["tip"]}}}
+    for clock, more, coupler, delays in (
+        ({}, turns, {}, [6]), ({}, turns, {"varying": True}, [6]), ({"every": 3}, {}, {"varying": True}, [6, 7, 8]),
+    ):  # fmt: skip
+        nodes = {"network.nodes": {"tip": {**tip, "clock": clock}}, "network.sc.max_age": 8}
+        loop = compose(experiment_of("omni-push", **nodes, **more, **{"controller.coupler": coupler}))
+        assert loop.verdict.certified and loop.verdict.details["delays"] == delays
+        assert loop.verdict.number == pytest.approx(1.9857, rel=1e-5)
+        assert simulate(loop, 0).arrays["/plant/state"]["given"].max() < 1e-9
