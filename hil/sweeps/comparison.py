@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import EQUAL, Interval, difference_interval, ratio_interval
@@ -75,7 +74,7 @@ class Comparison(ShownResult):
             return stops
         judged = next((q for q in self.quantities if q.better), None)
         if judged is None:
-            return f"{name} against {self.first}: undecided; no measure states which value is better"
+            return f"{name} against {self.first}: undecided; no number that they have in one unit says which value is better"
         undecided = f"{name} against {self.first}: undecided; {judged.title}"
         own, other = (np.isfinite(self.values[each][judged.name]) for each in (name, self.first))
         if (own != other).any():
@@ -190,7 +189,8 @@ def compare(
     seeds, workers = seeds_of(runs, least=2), here(jobs)
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
     if not quantities:
-        raise HilError(f"compare: {', '.join(experiments)}: no number that all have; name one measure in the [report] of each")
+        lacking = "no number that all have in one unit; name one measure in the [report] of each"
+        raise HilError(f"compare: {', '.join(experiments)}: {lacking}")
     values: dict[str, Mapping[str, NDArray[np.float64]]] = {}
     cautions: dict[str, str] = {}
     alone = ""
@@ -205,10 +205,6 @@ def compare(
 
 
 def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:
-    """Return the quantities that all of several experiments have; one whose unit differs between them has none."""
+    """Return the quantities that all of several experiments have, each in one unit: others have no difference."""
     first, *others = ({q.name: q for q in quantities} for quantities in several)
-    return tuple(
-        q if all(other[name].unit == q.unit for other in others) else replace(q, unit="")
-        for name, q in first.items()
-        if all(name in other for other in others)
-    )
+    return tuple(q for name, q in first.items() if all(name in each and each[name].unit == q.unit for each in others))

@@ -108,7 +108,7 @@ def test_a_sweep_keeps_its_rows_and_refuses_those_of_another(cli: Hil, tmp_path:
         (["dc-motor-hinf", "nosuch"], "no experiment 'nosuch'"),
         (["dc-motor-h2", "dc-motor-hinf", "dc-motor-hinf"], "'dc-motor-hinf' is named twice"),
         (["dc-motor-hinf"], "only 'dc-motor-hinf' is named; expected two or more, of one: hil sweep dc-motor-hinf"),
-        (["dc-motor-hinf", "omni-1khz", "--runs", "2"], "dc-motor-hinf, omni-1khz: no number that all have"),
+        (["dc-motor-hinf", "omni-1khz", "--runs", "2"], "dc-motor-hinf, omni-1khz: no number that all have in one unit"),
         (["dc-motor-hinf", "dc-motor-h2", "--runs", "1"], "'--runs': 1"),
         (["dc-motor-hinf", "dc-motor-h2", "--jobs", "0"], "jobs: 0"),
         (["dc-motor-hinf", "dc-motor-h2", "-o", "."], "is a folder"),
