@@ -169,8 +169,9 @@ def report(
     if log is not None and target.resolve() == Path(log).resolve():
         raise HilError(f"{target} is the log itself; choose another -o (in Python output=...)")
     check_page(target, force=force, remedy="choose another -o (in Python output=...), or add --force (force=True)")
+    drawn = [] if figures is None else write_figures(view.once(sections_of), Path(figures))
     write_output(target, render_report(view))
-    return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
+    return (target, *drawn)
 
 
 @checked_arguments

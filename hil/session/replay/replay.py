@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
@@ -73,6 +74,8 @@ def experiment_of(
     """
     if not run.resolved:
         raise HilError(f"{source}: the log carries no resolved experiment")
+    if folder is not None and not os.path.isdir(folder):
+        raise HilError(f"folder {folder!r}: is no folder; expected that in which the files stand that the experiment names")
     objects = {name: given for name, given in (("plant", plant), ("controller", controller)) if given is not None}
     objects |= laws or {}
     experiment = experiment_from_resolved(run.resolved, run.experiment_text, source, folder=folder, objects=objects)

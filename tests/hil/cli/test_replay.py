@@ -63,6 +63,7 @@ def test_every_frame_that_is_put_on_a_bus_is_counted(hil_log: Path) -> None:
         (["--speed", "2"], "--speed: needs --onto"),
         (["--parameter", "gain=1"], "needs --controller"),
         (["-o", "x.csv"], "needs --controller"),
+        (["--folder", "nowhere"], "folder 'nowhere': is no folder"),
         (["--controller", "h2", "-o", "nowhere/x.csv"], "no folder nowhere"),
         (["--controller", "h2", "-o", "."], "is a folder"),
     ],

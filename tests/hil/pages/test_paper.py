@@ -64,6 +64,9 @@ def test_what_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.
     (tmp_path / "file").write_text("")
     with pytest.raises(HilError, match=r"--figures: .*file: cannot be made: File exists"):
         write_figures([], tmp_path / "file")
+    with pytest.raises(HilError, match="cannot be made: File exists"):
+        hil.report(hil.run("dc-motor-hinf", duration=1), output=tmp_path / "a.html", figures=tmp_path / "file")
+    assert not (tmp_path / "a.html").exists(), "no page without its figures"
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(HilError, match="matplotlib is not installed"):
         write_figures([], tmp_path / "figures")
