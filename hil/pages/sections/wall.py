@@ -53,7 +53,7 @@ def section(view: RunView) -> Section | None:
         return None
     path = avatar_path(view, loop)
     blocks = _over_time(view, path)
-    margin = _margin(loop, loop.controller)
+    margin = _margin(view, loop, loop.controller)
     blocks += [*([] if margin is None else [margin]), _felt(loop.controller)]
     if path is not None and np.ptp(path.y_m) + np.ptp(path.z_m) > 0.0:
         shown = _shown(path, loop.controller.wall)
@@ -82,17 +82,19 @@ def _softness(view: RunView, loop: Loop) -> str:
         return ""
     return (
         f"The largest force is {most:.3g} {view.signals.inputs[force]}, the largest depth {1e3 * depth:.3g} mm, behind a delay "
-        f"of {_delay(loop)} samples of {1e3 * loop.model.period_s:g} ms: the shorter, the stiffer a safe wall (hil "
+        f"of {_delay(view, loop)} samples of {1e3 * loop.model.period_s:g} ms: the shorter, the stiffer a safe wall (hil "
         "stiffness-map). "
     )
 
 
-def _delay(loop: Loop) -> int:
+def _delay(view: RunView, loop: Loop) -> int:
     """Return the largest delay of a loop, both ways, in samples: ends that equalise wait for what they have rows for."""
     rows = (loop.model.tau_max, loop.model.d_max)
     if isinstance(loop.controller, WallController) and loop.controller.equalise:
         return sum(rows)
     chains = (loop.chains.sc, loop.chains.ca)
+    if None in chains and (delays := view.run.certificate.get("delays")):  # a node's clock, or its medium
+        return int(max(delays))
     return sum(most if chain is None else chain.max_delay for chain, most in zip(chains, rows))
 
 
@@ -147,14 +149,14 @@ def _calm(view: RunView) -> str:
     return (CALM if _gave(view) is False else "") + (IDLE if idle else "")
 
 
-def _margin(loop: Loop, controller: WallController) -> Figure | None:
+def _margin(view: RunView, loop: Loop, controller: WallController) -> Figure | None:
     port = loop.rig.port
     if port is None or port.output != 0:
         return None
     from design.passivity import HapticLoop, HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
-    own = _delay(loop)
+    own = _delay(view, loop)
     delays = list(range(own + FURTHER + 1))
     felt = HapticLoop(
         device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0

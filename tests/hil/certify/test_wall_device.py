@@ -70,6 +70,7 @@ class Own:
 
     damping: float = 2.0
     trembles_m: float = 0.0
+    begins_m: float = 0.0
     states: tuple[Signal, ...] = (Signal("position", "m"), Signal("speed", "m/s"))
     inputs: ClassVar = (Signal("force", "N"),)
     outputs: ClassVar = (Signal("position", "m"), Signal("y", "m"), Signal("z", "m"))
@@ -87,7 +88,7 @@ class Own:
 
 class OwnRun(LinearRun):
     def __init__(self, own, rng):
-        super().__init__(own.motion(), (0.0, 0.0))
+        super().__init__(own.motion(), (own.begins_m * float(rng.random()), 0.0))
         self.own, self.rng, self.error = own, rng, 0.0
 
     def advance(self, dt_ns, u, w=()):
@@ -115,3 +116,9 @@ def test_noise_that_a_device_does_not_state_is_found():
         found = judged(Own(trembles_m=1e-4, states=states))[1]
         assert found.state == "undecided" and "in the measured position" in found.reason
         assert judged(Own(states=states))[1].certified
+
+
+def test_what_is_stored_where_a_device_begins_by_chance_is_said_for_any_place():
+    """A number for one seed is none for another: 2 N s/m over 50 ms are 40 J/m^2."""
+    (said,) = [text for text in judged(Own(begins_m=0.1))[1].assumptions if "behind the surface" in text]
+    assert "begins by chance" in said and "up to 40 J/m^2 times x^2" in said

@@ -74,6 +74,15 @@ def test_the_page_says_the_delay_that_the_loop_has_and_not_the_largest_that_it_h
     assert f"behind a delay of {samples} samples" in found.intro and margin.markers[0].x == samples
 
 
+def test_the_certificate_knows_the_delay_that_a_clock_makes():
+    """A node that sends every third slot: no law has a chain, and the certificate names 6 to 8 samples."""
+    tip = "network.nodes={tip={outputs=['position','y','z'],clock={every=3}}}"
+    changes = tip, "network.sc.max_age=9", "controller.coupler={method='wave'}", "duration=2", "allow_uncertified=true"
+    run = run_of("omni-push", *changes, certify=True)
+    assert run.certificate["delays"] == [6, 7, 8]
+    assert "behind a delay of 8 samples" in wall_section(view_of(run)).intro
+
+
 def test_what_a_fault_froze_is_not_said_to_come_of_another_program_alone():
     frozen, whole = "fault=[{at=2,kind='freeze',link='sc',for=0.5}]", "fault=[{at=2,kind='cut',link='sc',for=0.1}]"
     said = [section("omni-push", "duration=4", fault)[1].intro for fault in (frozen, whole)]
