@@ -7,7 +7,7 @@ the small-gain condition in the H-infinity norm of that channel is what counts, 
 
     P_i >= A_i' E_i(P) A_i + C'C + lambda N_i'N_i + (..)' (lambda I - M' E_i(P) M)^-1 (..)
 
-bounds the H2 norm over all such Delta. The bounds are sound for every Delta; the multiplier is searched on a grid of decades.
+bounds the H2 norm over all such Delta. The bounds are sound for every Delta.
 
 Remark 7.6 overlooks one thing: in coordinates of deviation, dA x* + dB u* is an input that does not fade. The bounds
 here are for the disturbance response, not for the offset that a wrong model leaves (only integral action removes it).
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, Infeasible
-from design.jump_linear import MJLS
+from design.jump_linear import MJLS, h2_norm
 from design.jump_linear.bounded_real import hinf_norm, solve_bounded_real
 from design.jump_linear.second_moment import expect
 from design.networked_loop import check_gains
@@ -31,6 +31,8 @@ from design.processes.delay_chain import Array
 
 TOLERANCE = 1e-5
 """Of the bound of the H-infinity norm, relative; it lies above."""
+DECADES, NEAR = 20.0, 1e-3
+"""Over how many decades a multiplier is searched, and how exactly, in decades."""
 
 
 class RobustNorms(NamedTuple):
@@ -81,9 +83,9 @@ def robust_norms(
     Raises:
         Infeasible: the loop does not bear |Delta| <= 1; `value` is the margin, below 1.
     """
-    c, grid, alpha = _checked(structure, gains, M, N1, N2, initial)
-    h2 = _least_h2(c, grid, alpha)
-    hinf = _search(grid, lambda exponent, best: _hinf_bound(c, 10.0**exponent, best))
+    c, low, alpha = _checked(structure, gains, M, N1, N2, initial)
+    h2 = _least_h2(c, low, alpha)
+    hinf = _search(low, lambda exponent, best: _hinf_bound(c, 10.0**exponent, best))
     return RobustNorms(float(np.sqrt(h2[1])), h2[0], hinf[1], hinf[0])
 
 
@@ -107,20 +109,21 @@ def robust_h2(
 def _checked(
     structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike,
     initial: npt.ArrayLike | None,
-) -> tuple[_Channel, Array, Array]:  # fmt: skip
-    """The channel of a loop that bears |Delta| <= 1, exponents of its multipliers, and the mode's distribution at the impulse."""
+) -> tuple[_Channel, float, Array]:  # fmt: skip
+    """The channel of a loop that bears |Delta| <= 1, the least exponent of a multiplier, and the mode's law at the impulse."""
     margin = uncertainty_margin(structure, gains, M, N1, N2)
     if margin <= 1.0:
         raise Infeasible(f"uncertainty: the loop bears |Delta| up to {margin:.6g}, expected more than 1", value=margin)
     c = _channel(structure, gains, M, N1, N2)
     system = MJLS(A=c.A, B=c.B, C=c.C, transition=c.transition)
-    centre = float(np.log10(np.abs(c.C).max() ** 2 / max(np.abs(c.of_state).max() ** 2, 1e-300)))
     alpha = system.alpha(structure.default_initial if initial is None else initial)
-    return c, centre + np.arange(-8.0, 12.5, 0.5), alpha
+    moved = MJLS(A=c.A, B=c.B, C=c.of_state, D=c.of_disturbance, transition=c.transition)
+    centre = 2.0 * float(np.log10(h2_norm(system) / max(h2_norm(moved), 1e-150)))
+    return c, centre - DECADES / 3.0, alpha
 
 
-def _least_h2(c: _Channel, grid: Array, alpha: Array) -> tuple[float, float]:
-    return _search(grid, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
+def _least_h2(c: _Channel, low: float, alpha: Array) -> tuple[float, float]:
+    return _search(low, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
 
 
 def guaranteed_h2(
@@ -201,15 +204,25 @@ def _hinf_bound(c: _Channel, multiplier: float, best: float) -> float:
     return high
 
 
-def _search(grid: Array, bound: Callable[[float, float], float]) -> tuple[float, float]:
-    """(multiplier, bound) at the smallest bound: a grid over decades, then a finer one about its best point."""
-    best, at = np.inf, float(grid[0])
-    for exponents in (grid, np.arange(-0.375, 0.5, 0.125)):
-        centre = 0.0 if exponents is grid else at
-        for x in exponents:
-            value = bound(centre + float(x), best)  # what is no better than the best so far need not be exact
-            if value < best:
-                best, at = value, centre + float(x)
+def _search(low: float, bound: Callable[[float, float], float]) -> tuple[float, float]:
+    """(multiplier, bound) at the smallest bound, by golden section over the exponents.
+
+    P, lambda and squared bounds that are proved are a convex set: over lambda the least bound falls, then rises, and below some
+    lambda none is proved.
+    """
+    high, share = low + DECADES, (5.0**0.5 - 1.0) / 2.0
+    left, right = high - share * DECADES, low + share * DECADES
+    at_left, at_right = bound(left, np.inf), bound(right, np.inf)
+    while high - low > NEAR:
+        if at_left < at_right:
+            high, right, at_right = right, left, at_left
+            left = high - share * (high - low)
+            at_left = bound(left, at_right)  # what is no better than the best so far need not be exact
+        else:
+            low, left, at_left = left, right, at_right
+            right = low + share * (high - low)
+            at_right = bound(right, at_left)
+    at, best = min(((left, at_left), (right, at_right)), key=lambda each: each[1])
     if not np.isfinite(best):
         raise Infeasible("uncertainty: no multiplier proves a bound", value=best)
     return 10.0**at, best

@@ -37,8 +37,8 @@ ENOUGH: Final = 1.02
 NORM: Final = 10
 """Equations that an H-infinity norm counts as; it takes 6 to 15."""
 
-GUARANTEE: Final = 60
-"""Equations that a guaranteed norm counts as: one for every multiplier of its grid, and the norm of the channel."""
+GUARANTEE: Final = 35
+"""Equations that a guaranteed norm counts as: one for every multiplier that is tried, and the norm of the channel."""
 
 
 class BudgetSpent(Exception):

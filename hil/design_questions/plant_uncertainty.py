@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from design.errors import DesignError, Infeasible
 from design.jump_linear import STABILITY_MARGIN
+from design.jump_linear.second_moment import cost_once
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.polytope import MOST_UNKNOWNS, Growth, quadratic_growth
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
@@ -39,6 +40,8 @@ FAMILY = "one quadratic family per mode, over the ends of the intervals and all 
 GROWTH = "largest factor by which the family grows in a slot"
 GRID = {1: 33, 2: 13, 3: 7}
 """Points per parameter, by the number of parameters."""
+JOINED = 1e-3
+"""Share of the way from disturbance to z that counts in the units in which a set of plants is covered."""
 
 
 class Interval(NamedTuple):
@@ -111,8 +114,8 @@ def _changed(of: Any, at: Sequence[str], value: float) -> Any:
     return (*of[:i], _changed(of[i], at[1:], value), *of[i + 1 :])
 
 
-def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> PlantSet:
-    """Return matrices that cover the discrete plants of all parameters in their intervals.
+def plants_between(target: TrackingTarget, design: Design, intervals: Sequence[Interval]) -> PlantSet:
+    """Return matrices that cover the discrete plants of all parameters in their intervals, as tight as suits a design's loop.
 
     Raises:
         HilError: more than three parameters, one named twice, or a value that the plant refuses.
@@ -128,7 +131,7 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
     changes = np.array(points)
     if not changes.any():
         raise HilError(f"--uncertainty: {', '.join(names)}: the plant's model does not depend on it")
-    down, across = _alike(np.abs(changes).max(axis=0))  # what is small in its unit is not rounding
+    down, across = _felt(design, np.abs(changes).max(axis=0))  # what is small in its unit is not rounding
     alike = changes / down[:, None] / across
     left, row_size, _ = np.linalg.svd(alike.transpose(1, 0, 2).reshape(n, -1), full_matrices=False)
     _, column_size, right = np.linalg.svd(alike.reshape(-1, width), full_matrices=False)
@@ -145,14 +148,29 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
     return PlantSet(down[:, None] * M * largest, N[:, :n], N[:, n:], changes, bends)
 
 
-def _alike(sizes: Array) -> tuple[Array, Array]:
-    """Units of rows and columns in which the largest entries of every row and column that are not 0 are 1, nearly."""
-    down, across = np.ones(len(sizes)), np.ones(sizes.shape[1])
-    for _ in range(30):
-        left = np.sqrt(sizes / down[:, None] / across)
-        rows, columns = left.max(axis=1), left.max(axis=0)
-        down, across = down * np.where(rows > 0.0, rows, 1.0), across * np.where(columns > 0.0, columns, 1.0)
-    return down, across
+def _felt(design: Design, most: Array) -> tuple[Array, Array]:
+    r"""Units of rows and columns of [A B] in which entries count by what the loop makes of their errors, (n,) and (n + m,).
+
+    An impulse at x_j moves state and input q by g_qj in the root mean square. Errors up to a of the entries make W v = a g v of
+    an error v of the state. In the units v of rows and g v of columns, with the Perron vector v, the product of both norms (of
+    largest row sums) is the least that units can make it, and the same whatever the plant's own units are. A small share of the
+    way from the disturbance to z, as if it were closed, joins parts of the loop that do not move each other.
+    """
+    structure = design.problem.structure()
+    A, B, C, _, transition = structure.system(design.gains).matrices
+    n, alpha = structure.plant_order, design.problem.alpha(structure)
+    states = np.broadcast_to(np.eye(n, A.shape[-1]), (len(A), n, A.shape[-1]))
+    shown = np.concatenate([states, structure.applied_input(design.gains), C], axis=1)
+    cost = np.nan_to_num(cost_once(A, transition, np.einsum("iqj,iqk->qijk", shown, shown)))
+    of_state = np.einsum("i,qijj->qj", alpha, np.maximum(cost, 0.0))[:, :n]
+    of_input, width = np.einsum("i,qijk,ijm,ikm->q", alpha, cost, B, B), len(most.T)
+    of_input[n:width] += 1.0  # itself
+    closed = np.outer(np.sqrt(of_input[:width]), np.sqrt(of_state[width:].sum(axis=0))) / np.sqrt(of_input[width:].sum() or 1.0)
+    moved = np.sqrt(of_state[:width]) + JOINED * closed
+    rates, vectors = np.linalg.eig(most @ moved)
+    down = np.abs(vectors[:, rates.real.argmax()])
+    across = moved @ down
+    return np.where(down > 0.0, down, 1.0), 1.0 / np.where(across > 0.0, across, 1.0)
 
 
 def _discrete(target: TrackingTarget, values: dict[str, float], names: Sequence[str]) -> Array:
@@ -182,7 +200,7 @@ def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[
         HilError: see `plants_between`.
     """
     structure, gains = design.problem.structure(), design.gains
-    found = plants_between(target, intervals)
+    found = plants_between(target, design, intervals)
     with one_blas_thread():
         margin = uncertainty_margin(structure, gains, found.M, found.N1, found.N2)
         ends = _extreme(found.changes, len(intervals))
@@ -234,7 +252,7 @@ def robust_design(
     """
     if design.problem.structure().between is not None:
         raise HilError("--robust: guaranteed norms are not computed over a sojourn law whose tail is cut")
-    found = plants_between(target, intervals)
+    found = plants_between(target, design, intervals)
     with one_blas_thread():
         return robust(design, found.M, found.N1, found.N2, progress=progress)
 

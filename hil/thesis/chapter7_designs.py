@@ -270,7 +270,7 @@ def uncertain(report_progress: ReportProgress) -> dict[str, Any]:
     for n, (name, percent) in enumerate((("narrow", NARROW), ("wide", WIDE))):
         report_progress(f"gain +-{percent} %", n, 2)
         asked = [interval(target.of, f"gain={percent}%")]
-        plants, ours = plants_between(target, asked), robust_design(target, nominal, asked)
+        plants, ours = plants_between(target, nominal, asked), robust_design(target, nominal, asked)
         both = {"nominal": nominal, "ours": ours}
         margin = {who: uncertainty_margin(*_loop(design, plants)) for who, design in both.items()}
         values[name] = {

@@ -61,7 +61,7 @@ def test_vanishing_uncertainty_leaves_the_nominal_norms():
 def test_the_same_uncertainty_in_other_units_has_the_same_norms(scale):
     bounds = robust_norms(short(), SHORT_GAINS, M, N1, N2)
     same = robust_norms(short(), SHORT_GAINS, M / scale, scale * N1, scale * N2)
-    assert (same.h2, same.hinf) == pytest.approx((bounds.h2, bounds.hinf), rel=1e-3)
+    assert (same.h2, same.hinf) == pytest.approx((bounds.h2, bounds.hinf), rel=1e-5)
 
 
 def test_too_much_uncertainty_is_refused_with_the_margin():

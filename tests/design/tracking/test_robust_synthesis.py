@@ -30,7 +30,7 @@ def test_gains_that_bear_the_uncertainty_are_found_where_the_nominal_ones_do_not
     structure = found.problem.structure()
     least = min(value for stage, _, _, value in seen if stage == "guaranteed h2")
     assert seen[0] == ("margin", 1, 1, pytest.approx(bears(nominal, 0.9)))
-    assert 1.0 <= robust_norms(structure, found.gains, M, N1, 0.9 * N2).h2 / least < 1.02  # of one multiplier on a grid
+    assert 1.0 <= robust_norms(structure, found.gains, M, N1, 0.9 * N2).h2 / least < 1.0001
     assert (found.certificate.h2_norm or 0.0) > (nominal.certificate.h2_norm or 0.0)
 
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.processes.delay_chain import DelayChain
 from design.requests.tracking import LocalDesigned, solve_tracking
+from design.tracking.synthesis import certified
 from hil.cli.design import command
 from hil.cli.design.gains import design_local
 from hil.compose import compose
-from hil.design_questions import problem_for, tracking_target, verdict_on
+from hil.design_questions import TrackingTarget, problem_for, tracking_target, verdict_on
 from hil.design_questions.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -129,9 +131,9 @@ def test_a_design_for_a_plant_of_ones_own_is_judged_by_what_the_plant_does():
 @pytest.mark.parametrize("names", [("gain=10%",), ("pole=30%",), ("gain=5%", "pole=20%")])
 def test_every_plant_between_is_covered(names):
     """Plants of random parameters, none of them on the grid, lie in the set that the matrices describe."""
-    target = tracking_target("dc-motor")
+    target, design = plain_design()
     intervals = [interval(target.of, said) for said in names]
-    found = plants_between(target, intervals)
+    found = plants_between(target, design, intervals)
     rng = np.random.default_rng(1)
     for _ in range(40):
         values = {i.name: float(rng.uniform(i.low, i.high)) for i in intervals}
@@ -149,12 +151,29 @@ def test_a_parameter_counts_in_any_unit_of_what_it_moves(unit):
     plant = LinearPlant(A=((-1.0, 0.0), (0.0, -0.2)), B=((unit,), (1.0,)), C=((1.0 / unit, 1.0),))
     moves = plant.model().discretise(0.05)
     target = tracking_target("dc-motor")._replace(A=moves.A, B=moves.B, C=moves.C, of=plant)
-    found = plants_between(target, [interval(plant, said) for said in ("B.0.0=1%", "A.1.1=0.15")])
+    design = certified(problem_for(target), np.zeros((3, 2, 1, 1)), starts=(), evaluations=0)
+    found = plants_between(target, design, [interval(plant, said) for said in ("B.0.0=1%", "A.1.1=0.15")])
     M, N = found.M / [[unit], [1.0]], np.hstack([found.N1 * [unit, 1.0], found.N2])
     changes = found.changes / [[unit], [1.0]] * [unit, 1.0, 1.0]
     delta = np.linalg.pinv(M) @ changes @ np.linalg.pinv(N)
     assert np.linalg.norm(delta, 2, axis=(-2, -1)).max() == pytest.approx(1.0, abs=0.1)
     np.testing.assert_allclose(M @ delta @ N, changes, atol=1e-9 * np.abs(changes).max())
+
+
+def test_the_same_plant_in_other_units_bears_the_same_and_as_much_as_in_the_best_of_them():
+    """A cart behind a lag: covered in units in which the largest entries are alike, it bore 2.5, or 0.001, of the same errors."""
+    A, B = np.array([[0.0, 1.0, 0.0], [0.0, -2.0, 1.0], [0.0, 0.0, -8.0]]), np.array([[0.0], [0.0], [8.0]])
+    K, found = np.array([[[[-3.0]]]]), []
+    for unit in np.array([[1.0, 1.0, 1.0], [1e-3, 1e-3, 1.0], [1.0, 1.0, 1e3]]):
+        plant = LinearPlant(A=tuple(map(tuple, unit[:, None] * A / unit)), B=tuple(map(tuple, unit[:, None] * B)),
+                            C=((1.0 / unit[0], 0.0, 0.0),))  # fmt: skip
+        moves, one = plant.model().discretise(0.05), DelayChain(transition=((1.0,),))
+        target = TrackingTarget("cart", 0.05, moves.A, moves.B, moves.C, one, one, plant)
+        design = certified(problem_for(target, R=0.05), K, starts=(), evaluations=0)
+        verdict = judge_uncertain(target, design, [interval(plant, said) for said in ("A.1.1=8%", "B.2.0=8%")])
+        found.append([verdict.details[name] for name in ("margin", "h2_norm", "hinf_norm")])
+    assert found[0][0] > 3.0
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +189,7 @@ def test_entries_of_matrices_and_coefficients_are_parameters_of_a_plant(plant, n
     for of, said in ((motor, ("gain=10%", "pole=0.5")), (plant, names)):
         moves = of.model().discretise(0.05)
         target = tracking_target("dc-motor")._replace(A=moves.A, B=moves.B, C=moves.C, of=of)
-        found.append(plants_between(target, [interval(of, each) for each in said]))
+        found.append(plants_between(target, plain_design()[1], [interval(of, each) for each in said]))
     np.testing.assert_allclose(*(np.sort(each.changes, axis=0) for each in found), atol=1e-12)  # -pole falls as the pole rises
     with pytest.raises(HilError, match=r"--uncertainty: B\.2\.0: the plant has no such number"):
         interval(plant, "B.2.0=10%")
