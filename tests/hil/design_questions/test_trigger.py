@@ -122,7 +122,7 @@ def test_the_front_keeps_certified_points_that_none_beats() -> None:
 def test_the_command_prints_the_points_and_writes_a_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: list[Candidate]
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(trigger_gains, "SHARES", (LARGE,))
+    monkeypatch.setattr(trigger_gains, "candidates", lambda asked, report, *, starts, **_: large if starts == 1 else [])
     monkeypatch.setattr(run_candidate, "__defaults__", (3,))
     page = tmp_path / "trigger.html"
     name = own(tmp_path, '{ kind = "relative", threshold = 0.2 }')
@@ -138,8 +138,7 @@ def test_the_command_prints_the_points_and_writes_a_page(
     written = page.read_text()
     heads = ("Squared error against packets", "gain, V per rad", "squared error (rad² s)", "not certified")
     assert all(said in written for said in heads)
-    monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: large)
-    shown = CliRunner().invoke(command, [name, "--trigger"], catch_exceptions=False).stdout
+    shown = CliRunner().invoke(command, [name, "--trigger", "--starts", "1"], catch_exceptions=False).stdout
     assert "undecided" in shown and "40% wrong" in shown and "every slot" in shown
 
 
