@@ -24,19 +24,23 @@ RUNNER = [sys.executable, "-m", "hil", "vcan"]
 
 # Two processes on the bus: one answers every frame, one sends and prints the clock, the kernel's time stamp and the data.
 PING_PONG = """
-import os, sys, time, can
+import os, socket, struct, time
+def joined():
+    bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    bus.setsockopt(socket.SOL_SOCKET, 35, 1)  # SO_TIMESTAMPNS
+    bus.bind(("vcan0",))
+    return bus
 if os.fork() == 0:
-    with can.Bus("vcan0", interface="socketcan") as bus:
+    with joined() as bus:
         for _ in range(50):
-            m = bus.recv()
-            bus.send(can.Message(arbitration_id=2, data=m.data, is_extended_id=False))
+            bus.send(struct.pack("=IB3x8s", 2, 1, bus.recv(16)[8:]))
     os._exit(0)
-with can.Bus("vcan0", interface="socketcan") as bus:
+with joined() as bus:
     time.sleep(0.5)
     for i in range(50):
-        bus.send(can.Message(arbitration_id=1, data=[i], is_extended_id=False))
-        m = bus.recv()
-        print(time.time_ns(), time.monotonic_ns(), m.timestamp, m.data.hex())
+        bus.send(struct.pack("=IB3x8s", 1, 1, bytes([i])))
+        frame, ((_, _, stamp),), *_ = bus.recvmsg(16, 64)
+        print(time.time_ns(), time.monotonic_ns(), stamp.hex(), frame.hex())
         time.sleep(0.01)
 os.wait()
 """
@@ -109,7 +113,7 @@ def test_venv_and_environment_are_in_place() -> None:
         "--",
         sys.executable,
         "-c",
-        "import sys, os, can; print(sys.prefix, os.getcwd(), os.environ['COLOUR'])",
+        "import sys, os, msgspec; print(sys.prefix, os.getcwd(), os.environ['COLOUR'])",
         env={**os.environ, "COLOUR": "blue"},
     )
     assert done.stdout.split() == [sys.prefix, os.getcwd(), "blue"], done.stderr
