@@ -23,7 +23,7 @@ from design.errors import DesignError, FieldError
 
 FloatArray = npt.NDArray[np.float64]
 
-JUMPS, PARAMETERS, CHAIN, NOISE = range(4)
+JUMPS, PARAMETERS, CHAIN = range(3)
 """What a stream is for."""
 
 

@@ -1,6 +1,6 @@
 """Monte Carlo of semi-Markov jump linear closed loops: exact between events, thousands of runs at once.
 
-    settling_times   T_s of (2.28) per run       mean_states   E x(t), E x(t)x(t)' on a grid       trajectories   for plots
+    settling_times   T_s of (2.28) per run       mean_states   E x(t) on a grid       trajectories   for plots
 
 Every run has its own streams of random numbers, and the runs are computed in chunks that are always cut at the same places (see
 `design.monte_carlo`), so the numbers do not depend on how the work is split.
@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import reduce
-from typing import NamedTuple
+from functools import partial, reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -141,37 +140,8 @@ def trajectories(
     return np.concatenate([x[:, inside].transpose(1, 2, 0) for inside, x in in_chunks(study.states, first, runs, CHUNK)])
 
 
-class MeanStates(NamedTuple):
-    """Means over ``runs`` runs on the grid.
-
-    ``time_s`` (G,), ``mean`` E x (G, n), ``second`` E x x' (G, n, n), ``fourth`` E |x|^4 (G,), for
-    the standard error of ``square``.
-    """
-
-    time_s: FloatArray
-    mean: FloatArray
-    second: FloatArray
-    fourth: FloatArray
-    runs: int
-
-    @property
-    def square(self) -> FloatArray:
-        """E |x(t)|^2, shape (G,)."""
-        return np.asarray(np.trace(self.second, axis1=1, axis2=2))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sums:
-    """Sums of a chunk's states and of their products over its runs that count."""
-
-    study: _Study
-    runs: int
-
-    def __call__(self, chunk: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        x = self.study.states(chunk)[:, inside_chunk(chunk, 0, self.runs, CHUNK)]
-        second = np.stack([[(a * b).sum(axis=0) for b in x] for a in x])
-        square = (x * x).sum(axis=0)
-        return x.sum(axis=1), second, (square * square).sum(axis=0)
+def _sum_over_runs(study: _Study, runs: int, chunk: int) -> FloatArray:
+    return np.asarray(study.states(chunk)[:, inside_chunk(chunk, 0, runs, CHUNK)].sum(axis=1))
 
 
 def mean_states(
@@ -182,12 +152,10 @@ def mean_states(
     dt_s: float = 0.01,
     seed: int = 0,
     workers: Workers = ONE_CORE,
-) -> MeanStates:
-    """Average trajectory and second moments on the grid (Figure 2.4a); arguments as ``settling_times``."""
+) -> FloatArray:
+    """Average trajectory E x on the grid (Figure 2.4a), shape (grid points, n); arguments as ``settling_times``."""
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
-    sums = _Sums(study=study, runs=runs)
-    parts = [part for _, part in in_chunks(sums, 0, runs, CHUNK, workers)]
+    parts = [part for _, part in in_chunks(partial(_sum_over_runs, study, runs), 0, runs, CHUNK, workers)]
     # Added in the order of the chunks: a sum of floats depends on its order.
-    mean, second, fourth = (np.asarray(reduce(np.add, column) / runs) for column in zip(*parts))
-    time_s = np.arange(study.steps + 1, dtype=np.float64) * dt_s
-    return MeanStates(time_s, mean.T, np.moveaxis(second, -1, 0), fourth, runs)
+    mean: FloatArray = reduce(np.add, parts) / runs
+    return mean.T

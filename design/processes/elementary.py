@@ -19,11 +19,6 @@ _LN2_LOW: Final = 1.90821492927058770002e-10
 _ROOT_HALF: Final = 0.7071067811865476
 _WHOLE: Final = 64
 """Largest power that is taken by squaring."""
-_CENTRE: Final = (
-    (59.109374720, 159.29113202, 50.434271938, 3.3871327179), (67.187563600, 78.757757664, 17.895169469, 1.0),
-)  # fmt: skip
-_MIDDLE: Final = ((0.17023821103, 1.3067284816, 2.7568153900, 1.4234372777), (0.12021132975, 0.73700164250, 1.0))
-_TAIL: Final = ((0.017337203997, 0.42868294337, 3.0812263860, 6.6579051150), (0.012258202635, 0.24197894225, 1.0))
 
 
 def log(x: npt.ArrayLike) -> FloatArray:
@@ -104,30 +99,6 @@ def power(x: npt.ArrayLike, y: float) -> FloatArray:
             return np.asarray(1.0 / out if y < 0.0 else out)
     with np.errstate(invalid="ignore"):
         return exp(y * log(x))
-
-
-def normal_quantile(p: npt.ArrayLike) -> FloatArray:
-    """Return z with Pr(Z < z) = p of a standard normal Z, for 0 < p < 1, to 1.2e-7 of it: for draws.
-
-    Reference: Wichura, Algorithm AS 241 (PPND7), Applied Statistics 37 (1988).
-
-    >>> normal_quantile([0.5, 0.975]).round(6).tolist()
-    [0.0, 1.959964]
-    """
-    p = np.asarray(p, dtype=float)
-    q = p - 0.5
-    r = np.sqrt(-log(np.minimum(p, 1.0 - p)))
-    far = np.copysign(np.where(r <= 5.0, _ratio(_MIDDLE, r - 1.6), _ratio(_TAIL, r - 5.0)), q)
-    return np.asarray(np.where(np.abs(q) <= 0.425, q * _ratio(_CENTRE, 0.180625 - q * q), far))
-
-
-def _ratio(of: tuple[tuple[float, ...], tuple[float, ...]], r: FloatArray) -> FloatArray:
-    above, below = (np.full_like(r, row[0]) for row in of)
-    for a in of[0][1:]:
-        above = above * r + a
-    for b in of[1][1:]:
-        below = below * r + b
-    return np.asarray(above / below)
 
 
 def product(a: FloatArray, b: FloatArray) -> FloatArray:

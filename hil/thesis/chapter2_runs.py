@@ -127,7 +127,7 @@ def settling(report_progress: ReportProgress) -> dict[str, Any]:
         times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
     report_progress("figures", len(asked), len(asked) + 1)
     settled = {label: times[name] for name, (label, *_) in PRINTED.items()}
-    means = [mean_states(loop_of(gain), RUNS, duration_s=10.0, dt_s=DT_S, seed=SEED).mean for gain in (ours, other)]
+    means = [mean_states(loop_of(gain), RUNS, duration_s=10.0, dt_s=DT_S, seed=SEED) for gain in (ours, other)]
     past = [(-np.sign(CHAPTER2_START) * mean).max(axis=0) for mean in means]
     figures = one_run(loop_of(ours), loop_of(other)), monte_carlo_average(means[0], means[1], settled), convergence(settled)
     return times_in_numbers(times) | {

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
-from design.monte_carlo.markov_batch import simulate_mjls
+from design.monte_carlo.markov_batch import mjls_energies
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
@@ -88,7 +88,7 @@ def models(report_progress: ReportProgress) -> dict[str, Any]:
     energy, mean = h2_norm(loop), h2_norm(loop, definition="mean")
     transition = loop.matrices[4]
     after_impulse = np.full(len(transition), 1.0 / len(transition)) @ transition  # the mode one slot after a uniform start
-    runs = simulate_mjls(loop, 4000, 300, start=loop.matrices[1][0, :, 0], initial=after_impulse, seed=1).energy
+    runs = mjls_energies(loop, 4000, 300, start=loop.matrices[1][0, :, 0], initial=after_impulse, seed=1)
     rows = tuple(map(tuple, VTOL_H2[0, :, :, 0].tolist()))
     frame = encode_control(ControlPacket(seq=0, sample_ns=0, control_ns=0, tau=0, selection=0, rows=rows))
     return {

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
 from design.monte_carlo import Workers
 from design.monte_carlo.jump_loop import JumpLoop
-from design.monte_carlo.markov_batch import simulate_mjls
+from design.monte_carlo.markov_batch import mjls_energies
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.rates import WeibullRate
@@ -139,7 +139,7 @@ def bench_montecarlo(progress: Callable[[str], None] = lambda text: None) -> lis
         engine(loop, workers)  # starts the processes
         compare(row(f"engine, {jobs} cores", partial(engine, loop, workers), repeats=REPEATS))
     row(
-        "engine, one core, every grid state: E x, E xx'",
+        "engine, one core, every grid state: E x",
         lambda: mean_states(loop, RUNS, duration_s=DURATION_S, dt_s=DT_S, seed=SEED),
     )
     weibull = WeibullRate(scale_s=1.0, shape=2.0)
@@ -168,4 +168,4 @@ def motor_loop() -> FloatArray:
     system = loop.system(gains)
     start = np.zeros(system.order)
     start[0] = 1.0
-    return simulate_mjls(system, RUNS, 400, start=start).energy
+    return mjls_energies(system, RUNS, 400, start=start)

@@ -30,7 +30,7 @@ from design.jump_linear import MJLS
 from design.lmi import prove, prove_inequalities
 from design.monte_carlo.confidence import deviation_interval, mean_interval
 from design.monte_carlo.jump_loop import JumpLoop
-from design.monte_carlo.markov_batch import simulate_mjls
+from design.monte_carlo.markov_batch import mjls_energies
 from design.networked_loop import check_plant_shapes
 from design.networked_loop.closed_loop import dynamic_loop
 from design.passivity.transparency import distortion
@@ -115,7 +115,7 @@ def bent(coupler: Coupler) -> MJLS:
 
 def followed(**values: Any) -> object:
     given = {"runs": 2, "steps": 1, "start": np.zeros(bent(SOFT).order), "seed": 0}
-    return simulate_mjls(bent(SOFT), **(given | values))
+    return mjls_energies(bent(SOFT), **(given | values))
 
 
 NO_PROOF = JumpCertificate(method="exact", verdict="certified", reason="")
