@@ -57,7 +57,7 @@ mutations: $(INSTALLED) ## put every known fault in and see its tests fail (a qu
 	$(BIN)/python -m tests.mutations $(MUTATIONS)
 
 # Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
-VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)
+VCAN_TESTS = $(shell grep -rlE --include='test_*.py' '(^pytestmark = |^@|marks=)pytest\.mark\.vcan' tests)
 PYTEST_VCAN = $(BIN)/python -m pytest --hil-require=vcan -p no:cacheprovider
 
 test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a user-mode one (built the first time)
@@ -67,7 +67,7 @@ test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a
 
 .vcan-virtual:
 	$(BIN)/hil vcan --install -v --virtual-time --timeout 600 -- $(PYTEST_VCAN) -m "vcan and not realtime" $(VCAN_TESTS)
-	@$(MAKE) --no-print-directory .vcan-real VCAN="vcan and realtime"
+	@$(MAKE) --no-print-directory .vcan-real VCAN="vcan and realtime" VCAN_TESTS="$$(grep -l 'mark\.realtime' $(VCAN_TESTS))"
 	$(BIN)/pytest -n 2 --hil-require=vcan tests/vcan/test_runner.py tests/vcan/test_repeatable_sessions.py
 
 .vcan-real:

@@ -31,9 +31,10 @@ SLOTS, PERIOD_S = 120, 0.05
 FROM_THE_RIG = {derived(fd=fd).sensors[0][0] for fd in (True, False)}  # of its first frame, which holds the slot in bytes 4 to 7
 
 
-def session(uri: str, folder: Path) -> Session:
-    """Six seconds of the thesis's motor in real time, which in the guest may be virtual."""
-    return run_session(load_experiment("dc-motor-hinf", CHANGES), clock="real", link=uri, path=folder / "run.mcap")
+def session(uri: str, folder: Path, slots: int = SLOTS) -> Session:
+    """The thesis's motor in real time, which in the guest may be virtual."""
+    experiment = load_experiment("dc-motor-hinf", [*CHANGES, f"duration={slots * PERIOD_S}"])
+    return run_session(experiment, clock="real", link=uri, path=folder / "run.mcap")
 
 
 def assert_equals_the_virtual_run(run: Run, end: int) -> None:
@@ -74,10 +75,10 @@ def test_session_in_virtual_time_equals_the_one_process_run_to_the_end(uri: str,
 @FRAMES
 @pytest.mark.realtime
 def test_session_in_real_time_equals_the_one_process_run_up_to_the_first_late_slot(uri: str, tmp_path: Path) -> None:
-    done = session(uri, tmp_path)
+    done = session(uri, tmp_path, slots=40)
     late = done.summary["timing"]["first_late_slot"]
     assert done.status == 0 or late is not None, done.summary  # a machine that stalls for long may trip the watchdog
-    assert_equals_the_virtual_run(done.run, SLOTS if late is None else late)
+    assert_equals_the_virtual_run(done.run, 40 if late is None else late)
     assert done.summary["log"]["dropped"] == 0
 
 
