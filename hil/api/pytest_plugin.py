@@ -287,8 +287,10 @@ def explained(session: Session, changes: str = "") -> str:
         lines.append(f"safety: {s['safety']}")
     if not s["timing"]["valid"]:
         lines.append(f"timing NOT VALID: {'; '.join(s['timing']['why'])}")
-    found = [(name.removeprefix("hil_"), value) for name, value in properties(session)[2:] if name != "hil_timing"]
-    lines += [f"{name}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}" for name, value in found]
+    for name, value in properties(session)[2:]:
+        if name != "hil_timing":
+            shown = f"{value:.6g} {s['units'].get(name.removeprefix('hil_metric_'), '')}" if isinstance(value, float) else value
+            lines.append(f"{name.removeprefix('hil_')}: {shown}".rstrip())
     lines += [f"{name.replace('_', ' ')}: {text}" for name, text in s["problems"].items()]
     quoted = shlex.quote(str(log))
     lines += [

@@ -98,7 +98,7 @@ def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester
     assert kept["hil_seed"] == "7" and kept["hil_verdict"] == "certified" and kept["hil_timing"] == "valid"
     assert kept["hil_metric_sse"] == sse and str(kept["hil_log"]).endswith(".mcap")
     assert "None" not in kept.values() and "hil_metric_sse_after_5s" not in kept  # it lasted 2 s
-    result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {float(sse):.6g}"])
+    result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {float(sse):.6g} rad² s"])
     reported = [line.partition("   # ")[0].split() for line in result.outlines if "   # " in line]
     assert [command[1] for command in reported] == ["report", "replay", "export"]
     assert all(hil_command(*words[1:], cwd=pytester.path).returncode == 0 for words in reported)
