@@ -20,6 +20,8 @@ from hil.cli.terminal import json_option, visible
 from hil.errors import HilError, located
 
 if TYPE_CHECKING:
+    from can import Message
+
     from hil.design_questions.bus_analysis import BusAnalysis
     from transport.can_analysis import ErrorBursts
 
@@ -223,12 +225,15 @@ def _decode(database: Any, log: Path) -> None:
 
     from hil.files.can_logs import can_frames
 
-    found = 0
+    found = foreign = 0
     for frame in can_frames(log):
         try:
             message = database.get_message_by_frame_id(frame.arbitration_id)
         except KeyError:
             continue  # another node's
+        if _is_foreign(frame, message.length, "Crc" in message.signal_tree):
+            foreign += 1
+            continue
         try:
             signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
         except (DecodeError, ValueError) as e:
@@ -236,8 +241,30 @@ def _decode(database: Any, log: Path) -> None:
         values = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
         print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **values}))
         found += 1
+    if foreign:
+        print(f"hil: {visible(str(log))}: {foreign} frames have an identifier of this DBC and are of no packet", file=sys.stderr)
     if not found:
-        raise HilError(f"{log}: no frame has an identifier of this DBC; hil dbc EXPERIMENT --link URI --decode knows other ones")
+        raise HilError(f"{log}: no frame is of a packet of this DBC; hil dbc EXPERIMENT --link URI --decode knows other ones")
+
+
+def _is_foreign(frame: Message, length: int, first: bool) -> bool:
+    """Return whether a frame with an identifier of ours is of no packet, as far as one frame shows.
+
+    Args:
+        frame: of a log.
+        length: of our frames, bytes.
+        first: whether a packet begins in it.
+    """
+    from transport.packets import decode, packet_size
+    from transport.wire import sensor_length
+
+    odd = frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame
+    if odd or not first:
+        return odd
+    data = bytes(frame.data)
+    size = packet_size(data)
+    whole = size is not None and size <= len(data)
+    return len(data) < min(length, sensor_length(0)) or size == 0 or (whole and decode(data[:size]) is None)
 
 
 def database_of(text: str) -> Any:

@@ -72,8 +72,25 @@ def test_what_is_no_can_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_a_log_without_a_frame_of_the_dbc_is_named(tmp_path: Path) -> None:
     (tmp_path / "car.log").write_text("(1.000000) can0 123#0021\n")
-    with pytest.raises(HilError, match=r"car\.log: no frame has an identifier of this DBC"):
+    with pytest.raises(HilError, match=r"car\.log: no frame is of a packet of this DBC"):
         CliRunner().invoke(command, ["--decode", str(tmp_path / "car.log")], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(("length", "fd"), [(64, "?base=0x200"), (8, "?base=0x200&fd=0")])
+def test_a_foreign_frame_with_an_identifier_of_ours_is_left_out_and_said(tmp_path: Path, length: int, fd: str) -> None:
+    packet = encode_sensor(SensorPacket(7, 0, 0, (0.25,)))
+    wrong = packet[:2] + b"\x30" + packet[3:]
+    at, classic = "200" if length == 64 else "280", length == 8
+    ours = packet[:length]
+    foreign = [wrong[:length], ours[:7]] + ([] if classic else [packet[:-1] + b"\1"])
+    mark = "#" if classic else "##1"
+    lines = [f"(1.0) can0 {at}{mark}{each.hex()}" for each in (ours, *foreign)]
+    lines += [f"(1.0) can0 00000{at}{mark}{ours.hex()}", f"(1.0) can0 {at}#R8"]
+    (tmp_path / "run.log").write_text("\n".join(lines) + "\n")
+    asked = ["dc-motor-hinf", "--link", f"can:hil:x{fd}", "--decode", str(tmp_path / "run.log")]
+    done = CliRunner().invoke(command, asked, catch_exceptions=False)
+    assert [json.loads(line)["Seq"] for line in done.stdout.splitlines() if line.startswith("{")] == [7]
+    assert f"{len(foreign) + 2} frames have an identifier of this DBC and are of no packet" in done.stderr
 
 
 def test_each_node_has_messages_of_its_own_which_read_as_what_it_measured(tmp_path: Path) -> None:
