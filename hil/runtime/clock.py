@@ -18,28 +18,6 @@ class Clock(Protocol):
         """Return when session time is at least ``t_ns`` (or a signal arrived)."""
         ...
 
-    def now(self) -> int:
-        """Return session time, ns."""
-        ...
-
-
-class VirtualClock:
-    """Jumps to whatever instant is waited for.
-
-    >>> c = VirtualClock(); c.wait_until(5); c.now()
-    5
-    """
-
-    def __init__(self) -> None:
-        self._now = 0
-
-    def wait_until(self, t_ns: int) -> None:
-        if t_ns > self._now:
-            self._now = t_ns
-
-    def now(self) -> int:
-        return self._now
-
 
 class PacedClock:
     """Virtual time at a pace: a second of session time takes 1 / speed s, and none while it is paused.
@@ -50,7 +28,7 @@ class PacedClock:
         speed: session time per time, above 0.
         paused: whether it waits at once, before slot 0.
 
-    >>> clock = PacedClock(speed=1e9); clock.wait_until(5); clock.now()
+    >>> clock = PacedClock(speed=1e9); clock.wait_until(5); clock.now_ns
     5
     """
 
@@ -60,7 +38,7 @@ class PacedClock:
     def __init__(self, speed: float = 1.0, paused: bool = False) -> None:
         self._lock = threading.Lock()
         self._speed, self._paused, self._steps, self._ended = speed, paused, 0, False
-        self._now = 0
+        self.now_ns = 0
         self._from = time.monotonic_ns(), 0  # an instant, and the session time then
 
     def wait_until(self, t_ns: int) -> None:
@@ -68,7 +46,7 @@ class PacedClock:
             with self._lock:
                 left_s = self._left_s(t_ns)
                 if left_s <= 0.0:
-                    self._now = max(self._now, t_ns)
+                    self.now_ns = max(self.now_ns, t_ns)
                     return
             time.sleep(min(left_s, self.LOOK_S))
 
@@ -86,9 +64,6 @@ class PacedClock:
             self._from = time.monotonic_ns(), t_ns
         return left_ns / 1e9
 
-    def now(self) -> int:
-        return self._now
-
     @property
     def speed(self) -> float:
         """Session time per time."""
@@ -104,7 +79,7 @@ class PacedClock:
         with self._lock:
             self._speed = self._speed if speed is None else speed
             self._paused = self._paused if paused is None else paused
-            self._steps, self._from = 0, (time.monotonic_ns(), self._now)
+            self._steps, self._from = 0, (time.monotonic_ns(), self.now_ns)
 
     def step(self, slots: int) -> None:
         """Pause, and let so many slots pass."""
@@ -183,17 +158,20 @@ def wall_clock_ns(monotonic: int) -> int:
 
 
 class Kernel:
-    """Begins the slots of a session on a clock, each with its *nominal* time.
+    """Begins the slots of a session, each with its *nominal* time.
+
+    Args:
+        clock: is waited on for each; None: virtual time, which jumps to whatever comes next.
 
     Attributes:
         stopped: whether :meth:`stop` was called.
 
-    >>> kernel, seen = Kernel(VirtualClock()), []
+    >>> kernel, seen = Kernel(), []
     >>> kernel.run(10, 3, seen.append); seen
     [0, 10, 20]
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock | None = None) -> None:
         self._clock = clock
         self.stopped = False
 
@@ -204,7 +182,7 @@ class Kernel:
     def run(self, period_ns: int, slots: int, handler: Callable[[int], None]) -> None:
         """Call ``handler(t_ns)`` at 0, ``period_ns``, ... : ``slots`` times, or until :meth:`stop`."""
         for t_ns in range(0, slots * period_ns, period_ns):
-            if not self.stopped:
+            if not self.stopped and self._clock is not None:
                 self._clock.wait_until(t_ns)
             if self.stopped:
                 return

@@ -16,7 +16,7 @@ from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink, Sink
 from hil.rig.loop import Loop
-from hil.runtime.clock import Clock, Kernel, VirtualClock
+from hil.runtime.clock import Clock, Kernel
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failed_part import failure_of
 from hil.runtime.nodes.rig import Rig
@@ -89,7 +89,7 @@ def run_virtual(
         HilError: a part of the user's own, or a plant, has failed.
     """
     e = loop.experiment
-    kernel = Kernel(clock or VirtualClock())
+    kernel = Kernel(clock)
     stoppable(kernel.stop)
     rig = Rig(loop, seed, sink, channels_of(loop), kernel.stop, changing=changes is not None)
     node = ControlNode(loop)

@@ -16,7 +16,7 @@ from hil.log.read import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.rig.loop import Loop
-from hil.runtime.clock import Kernel, VirtualClock
+from hil.runtime.clock import Kernel
 from hil.runtime.nodes import session_wire
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answer_matcher import LOGGED
@@ -76,7 +76,7 @@ class Script:
 def drive(loop: Loop, answer: Callable[[int], bytes | None], slots: int) -> MemorySink:
     """Run a rig whose controller is a function of the slot."""
     sink = MemorySink(channels_of(loop))
-    kernel = Kernel(VirtualClock())
+    kernel = Kernel()
     rig = Rig(loop, 0, sink, channels_of(loop), kernel.stop)
     kernel.run(loop.experiment.period_ns, slots, Slot(rig, Script(loop, answer)).run)
     return sink

@@ -6,6 +6,7 @@ import re
 import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
-from hil.runtime.clock import VirtualClock
 from hil.runtime.nodes import Wire, session_wire
 from hil.runtime.virtual import simulate_as_logged
 from hil.session.replay import near_values, over_link
@@ -149,12 +149,8 @@ def test_the_questions_of_several_nodes_go_over_a_link_that_knows_them() -> None
 def test_frames_go_onto_a_link_in_their_order_and_at_their_spacing(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
     run, waits, seen = simulate_as_logged(compose(load_experiment("dc-motor-hinf", ["duration=1"])), 0), [], []
 
-    class Watched(VirtualClock):
-        def wait_until(self, t_ns: int) -> None:
-            waits.append(t_ns)
-            super().wait_until(t_ns)
-
-    monkeypatch.setattr(over_link, "RealClock", lambda start_ns: Watched())
+    clock = SimpleNamespace(wait_until=waits.append, now=lambda: waits[-1])
+    monkeypatch.setattr(over_link, "RealClock", lambda start_ns: clock)
     played = over_link.onto(run, "can:hil:replayspaced", speed, lambda i, n: seen.append((i, n)))
     frames = [t for topic in (SENSOR.name, CONTROL.name) for t in run.arrays[topic]["t_ns"].tolist()]
     assert waits == [round((t - min(frames)) / speed) for t in sorted(frames)] and max(waits) == round(950_000_000 / speed)
