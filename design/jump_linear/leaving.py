@@ -62,7 +62,6 @@ class Leaving:
         pushed: by degree, b as a share of the limits, (m,).
         rest: second moments of u / limit after the last slot, (s N, k, k); zero where the loop is pushed.
         slots: over which the bound holds; None: for ever.
-        later: slot up to which more may be added to the state.
     """
 
     degrees: tuple[int, ...]
@@ -70,13 +69,12 @@ class Leaving:
     pushed: tuple[Array, ...]
     rest: Array
     slots: int | None
-    later: int
 
     def probability(self, *starts: tuple[Sequence[int], Array], degree: int | None = None, left: float = 1.0) -> float:
         """Return the bound of the probability of leaving, at most 1.
 
         Args:
-            starts: slots, up to `later`, and y of what is added to the state in each, whatever the mode; their responses add.
+            starts: slots, up to that of `leaving`, and y of what is added to the state in each, whatever the mode; responses add.
             degree: the one that is used; default: the best one in every slot.
             left: share of the limits that something else leaves, above 0.
         """
@@ -188,7 +186,7 @@ def leaving(
     return Leaving(
         degrees=tuple(d for d, *_ in found), free=tuple(free for _, free, _ in found),
         pushed=tuple(b + adds / limits for *_, b in found),
-        rest=ended, slots=None if still else slots, later=later,
+        rest=ended, slots=None if still else slots,
     )  # fmt: skip
 
 

@@ -160,10 +160,8 @@ def in_chunks(
         yield inside_chunk(chunk, first, runs, size), result
 
 
-def spread(
-    task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers, *, unordered: bool = False
-) -> Iterator[Result]:  # fmt: skip
-    """Results of task(job) for every job, in order, each as soon as it and those before it are there; or as they come.
+def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers) -> Iterator[Result]:
+    """Results of task(job) for every job, in order, each as soon as it and those before it are there.
 
     The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
     computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
@@ -189,7 +187,7 @@ def spread(
         stack.enter_context(parallel_config(**options))
         stack.enter_context(safe_path())
         with _interrupts_wait() if workers.backend == "loky" else nullcontext():
-            run = Parallel(batch_size=1, return_as="generator_unordered" if unordered else "generator")
+            run = Parallel(batch_size=1, return_as="generator")
             results = run(delayed(task)(job) for job in jobs)
             stack.callback(_cancel, results)
         try:

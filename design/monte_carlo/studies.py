@@ -22,7 +22,6 @@ from design.monte_carlo import ONE_CORE, Workers, in_chunks, inside_chunk
 from design.monte_carlo.jump_loop import JumpLoop, MatrixFlow, Segments, segments
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
 
 CHUNK = 1024
 """Runs computed together. Part of the definition of the result's last bits: change it and they may change."""

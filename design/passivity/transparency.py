@@ -51,8 +51,6 @@ from design.controllers.wall import Material
 from design.errors import FieldError
 from design.jump_linear import MJLS
 
-Array = npt.NDArray[np.float64]
-
 
 def low_pass(cutoff_hz: float, period_s: float) -> tuple[float, float]:
     """Return a and g of W(z) = g/(z - a), a first-order low-pass of gain 1 at zero frequency.

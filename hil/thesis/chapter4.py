@@ -191,8 +191,6 @@ CONSTRAINTS = (
     ),
 )  # fmt: skip
 
-Array = npt.NDArray[np.float64]
-
 FAILURE, DETECTIONS = chapter4_rate_knots()
 
 

@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from scipy import stats
 
 from transport.errors import FieldError
@@ -25,7 +24,6 @@ from transport.law_fit.packet_record import JITTER, PacketRecord, ages_of, delay
 from transport.law_fit.proportions import LAGS, REJECT, Fitness, fitness
 from transport.laws.packet import OLDEST
 
-Array = NDArray[np.float64]
 LawClass = Literal["constant", "independent", "gilbert-elliott", "markov", "semi-markov", "none"]
 
 STREAM = (0x72657369, 0x6475616C)

@@ -11,8 +11,6 @@ from typing import Never
 
 from transport.links import Closing, LinkCounters, Role, TransportError
 
-LOCAL = "local:"
-
 
 def open_local(uri: str, role: Role) -> Never:
     """The controller runs in the rig's process (`hil run --link local:`); no end is left to open by a URI.
