@@ -1,29 +1,41 @@
-"""Moments of a loop, from which a region follows, are computed once for the room, and to low degrees where that does."""
+"""What verdicts of several tests rest on is computed once for the room: moments of a loop to low degrees where that does,
+bounds, couplers and the norm of a jump system.
+"""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
 import design.jump_linear.leaving as moments
+from design.passivity import synthesis
+from design.semi_markov_loop import fault_tolerant_analysis
 
 
 @pytest.fixture(scope="session", autouse=True)
-def moments_once() -> Iterator[None]:
-    """Moments of a loop are the same wherever its run begins."""
-    compute, found = moments.leaving, dict[bytes, moments.Leaving]()
+def computed_once() -> Iterator[None]:
+    """The same of the same, wherever a run begins."""
 
-    def leaving(*given: Any, **named: Any) -> moments.Leaving:
-        key = pickle.dumps((given, named, moments.MOST_PRODUCTS))
-        if key not in found:
-            found[key] = compute(*given, **named)
-        return found[key]
+    def once(compute: Callable[..., Any]) -> Callable[..., Any]:
+        found: dict[bytes, Any] = {}
+
+        def computed(*given: Any, **named: Any) -> Any:
+            key = pickle.dumps((given, named, moments.MOST_PRODUCTS))
+            if key not in found:
+                found[key] = compute(*given, **named)
+            return found[key]
+
+        return computed
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(moments, "leaving", leaving)
+        for module, name in (
+            (moments, "leaving"), (moments, "ultimate_bound"), (synthesis, "stiffest_coupler"),
+            (fault_tolerant_analysis, "analyse_fault_tolerant"),
+        ):  # fmt: skip
+            patch.setattr(module, name, once(getattr(module, name)))
         yield
 
 
