@@ -143,39 +143,18 @@ class HapticLoop:
             sc, ca: n1 and n2 in samples, at most sc_max and ca_max.
         """
         A_device, B_device = self.device.discretise(self.period_s)
-        n, memory, first = self.order, self._memory, 2 + self.sc_max
-        before, integrator = first + memory, self.coupler.integrator_m_per_n
-        seen = np.zeros(n)
-        seen[0 if sc == 0 else 1 + sc] = 1.0
-        past = np.zeros(n)  # the part of C f that older forces make
-        taps = self.coupler.taps_m_per_n
-        past[first : first + len(taps) - 1] = taps[1:]
-        direct = taps[0] + integrator - material.spared_m_per_n
-        if integrator:
-            past[before + 1] = integrator
-        rate = material.damping_n_s_per_m / self.period_s
+        state, first = np.eye(self.order), 2 + self.sc_max  # each state, and what follows of them, as a row over all states
+        places, forces = np.vstack([state[:1], state[2:first]]), state[first : first + self._memory]
+        before, total, integrator = state[first + self._memory], state[-1], self.coupler.integrator_m_per_n
+        taps = np.array(self.coupler.taps_m_per_n)
+        past = taps[1:] @ forces[: taps.size - 1] + integrator * total  # the part of C f that older forces make
+        direct, rate = taps[0] + integrator - material.spared_m_per_n, material.damping_n_s_per_m / self.period_s
         stiff = material.stiffness_n_per_m + rate
-        force = stiff * (seen - past)
-        force[before] -= rate
-        force /= 1.0 + stiff * direct
-        avatar = seen - past - direct * force
-        A = np.zeros((n, n))
-        A[:2, :2] = A_device
-        if ca == 0:
-            A[:2] -= np.outer(B_device, force)
-        else:
-            A[:2, first + ca - 1] -= B_device
-        for i in range(self.sc_max):
-            A[2 + i, 0 if i == 0 else 1 + i] = 1.0
-        if memory:
-            A[first] = force
-            for i in range(1, memory):
-                A[first + i, first + i - 1] = 1.0
-        A[before] = avatar
-        if integrator:
-            A[before + 1] = force
-            A[before + 1, before + 1] += 1.0
-        return A
+        force = (stiff * (places[sc] - past) - rate * before) / (1.0 + stiff * direct)
+        felt = np.vstack([force, forces])[ca]
+        avatar = places[sc] - past - direct * force
+        after = [*(A_device @ state[:2] - np.outer(B_device, felt)), *places[:-1], *[force, *forces][: self._memory], avatar]
+        return np.array([*after, total + force] if integrator else after)
 
     def radius(self, material: Material, sc: int, ca: int) -> float:
         """Return the spectral radius of `matrix`: below 1 is a stable contact."""

@@ -92,32 +92,18 @@ def distortion(
     taps, (pole, gain) = coupler.taps_m_per_n, low_pass(cutoff_hz, period_s)
     memory = max(len(taps) - 1, delay)
     n = 2 + memory + 1
-    A, B = np.zeros((len(materials), n, n)), np.zeros((len(materials), n, 1))
-    for i, m in enumerate(materials):
+    state = np.eye(n + 1)  # each state and the input, and what follows of them, as a row over all of them
+    before, avatar_before, forces, weighed, omega = state[0], state[1], state[2:-2], state[-2], state[-1]
+    past = np.array(taps[1:]) @ forces[: len(taps) - 1]
+    both = []
+    for m in materials:
         rate, direct = m.damping_n_s_per_m / period_s, taps[0] - m.spared_m_per_n
         stiff = m.stiffness_n_per_m + rate
-        # f = stiff (omega - past - c_0 f) - rate x_v(k-1)
-        force, force_in = np.zeros(n), stiff / (1.0 + stiff * direct)
-        force[2 : 1 + len(taps)] = -stiff * np.asarray(taps[1:])
-        force[1] -= rate
-        force /= 1.0 + stiff * direct
-        avatar = -direct * force
-        avatar[2 : 1 + len(taps)] -= np.asarray(taps[1:])
-        B[i, 0, 0] = 1.0
-        A[i, 1], B[i, 1, 0] = avatar, 1.0 - direct * force_in
-        if memory:
-            A[i, 2], B[i, 2, 0] = force, force_in
-        for j in range(1, memory):
-            A[i, 2 + j, 1 + j] = 1.0
-        error, error_in = np.zeros(n), stiff
-        error[0] -= rate
-        if delay:
-            error[1 + delay] -= 1.0
-        else:
-            error, error_in = error - force, error_in - force_in
-        A[i, -1] = gain * error
-        A[i, -1, -1] += pole
-        B[i, -1, 0] = gain * error_in
+        force = (stiff * (omega - past) - rate * avatar_before) / (1.0 + stiff * direct)
+        error = stiff * omega - rate * before - np.vstack([force, forces])[delay]
+        last = pole * weighed + gain * error
+        both.append([omega, omega - past - direct * force, *[force, *forces][:memory], last])
+    A, B = np.split(np.array(both), [n], axis=2)
     C = np.zeros((1, n))
     C[0, -1] = 1.0
     return MJLS(A=A, B=B, C=C, transition=transition)
@@ -139,15 +125,8 @@ def distortion_bound(material: Material, *, period_s: float, delay: int, cutoff_
         return 0.0
     pole, gain = low_pass(cutoff_hz, period_s)
     rate = material.damping_n_s_per_m / period_s
-    samples = np.zeros(delay)  # W without its own step: what counts is where the error begins
-    drive = np.zeros(delay)
-    drive[0] = material.stiffness_n_per_m + rate
-    if delay > 1:
-        drive[1] = -rate
-    state = 0.0
-    for k in range(delay):
-        state = pole * state + gain * drive[k]
-        samples[k] = state
+    # W without its own step: what counts is where the error begins
+    samples = np.convolve(gain * pole ** np.arange(delay), [material.stiffness_n_per_m + rate, -rate])
     toeplitz = np.array([[samples[i - j] if i >= j else 0.0 for j in range(delay)] for i in range(delay)])
     return float(np.linalg.norm(toeplitz, 2))
 

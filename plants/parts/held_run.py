@@ -76,15 +76,7 @@ class HeldRun:
         self._force = force + w[0] if w else force
         before, now_ns = self._x[0], self._now_ns
         end_ns = now_ns + dt_ns
-        other_ns = min(self._path.next_ns, slide.next_ns, self._zones.next_ns)
-        if self._push.next_ns > end_ns < other_ns:  # nothing happens on the way
-            if dt_ns:
-                self._move(now_ns, end_ns)
-        elif dt_ns and self._push.next_ns == end_ns < other_ns:  # at its end the push
-            self._move(now_ns, end_ns)
-            self._push.fire()
-        else:
-            pass_time(now_ns, end_ns, self._sources, self._move)
+        pass_time(now_ns, end_ns, self._sources, self._move)
         self._now_ns = end_ns
         if dt_ns:
             self._place = slide.at(end_ns)

@@ -88,14 +88,10 @@ def _softness(view: RunView, loop: Loop) -> str:
 
 
 def _delay(view: RunView, loop: Loop) -> int:
-    """Return the largest delay of a loop, both ways, in samples: ends that equalise wait for what they have rows for."""
-    rows = (loop.model.tau_max, loop.model.d_max)
-    if isinstance(loop.controller, WallController) and loop.controller.equalise:
-        return sum(rows)
-    chains = (loop.chains.sc, loop.chains.ca)
-    if None in chains and (delays := view.run.certificate.get("delays")):  # a node's clock, or its medium
-        return int(max(delays))
-    return sum(most if chain is None else chain.max_delay for chain, most in zip(chains, rows))
+    """Return the largest delay of a loop, both ways, in samples: of its certificate, or what its rows and gains cover."""
+    said = view.run.certificate
+    delays = said.get("delays", ()) if said.get("kind") == "passivity" else ()
+    return int(max(delays, default=loop.model.tau_max + loop.model.d_max))
 
 
 def _over_time(view: RunView, path: AvatarPath | None) -> list[Block]:

@@ -69,7 +69,7 @@ def test_a_haptic_run_opens_with_its_wall_and_has_no_reference() -> None:
 def test_the_page_says_the_delay_that_the_loop_has_and_not_the_largest_that_it_has_rows_for(name, waits, samples):
     coupler = f"controller.coupler={{method='wave',equalise={waits}}}"
     changes = coupler, "network.sc.max_age=7", "duration=0.5", "allow_uncertified=true", "plant.hand.push.force_n=1.0"
-    found = section(name, *changes)[1]
+    found = wall_section(view_of(run_of(name, *changes, certify=True)))
     (margin,) = [block for block in found.blocks if block.title == "Stability in contact, over delay"]
     assert f"behind a delay of {samples} samples" in found.intro and margin.markers[0].x == samples
 
