@@ -61,13 +61,14 @@ def main(words: list[str]) -> int:
     parser.add_argument("--changed", action="store_true", help="random faults in files that a change touches, by own tests")
     parser.add_argument("--since", metavar="REVISION", help="where the change began; else where it left main")
     parser.add_argument("--seconds", type=float, default=math.inf, help="after which random faults are ended")
+    parser.add_argument("--decide", action="store_true", help="begin no random fault where the run cannot fail any more")
     parser.add_argument("--fresh", action="store_true", help="measure again what each test reaches")
     parser.add_argument("-n", type=int, default=os.cpu_count(), metavar="WORKERS", help="processes that do it")
     given = parser.parse_args(words)
     if given.random is None:
         return known_faults(given.words, given.n)
     return random_run(given.random, given.seed, given.words, own=of_the_change(given.since) if given.changed else None,
-                      limit_s=given.seconds, fresh=given.fresh, workers=given.n)  # fmt: skip
+                      limit_s=given.seconds, fresh=given.fresh, workers=given.n, decide=given.decide)  # fmt: skip
 
 
 def of_the_change(since: str | None) -> list[str]:

@@ -25,7 +25,8 @@ Tried = tuple[Place, Outcome]
 
 
 def random_run(
-    number: int, seed: int, words: Sequence[str], *, own: Sequence[str] | None, limit_s: float, fresh: bool, workers: int
+    number: int, seed: int, words: Sequence[str], *, own: Sequence[str] | None, limit_s: float, fresh: bool, workers: int,
+    decide: bool = False,
 ) -> int:  # fmt: skip
     """Try random faults and print one line each, then the table; Ctrl-C ends with the table so far.
 
@@ -37,6 +38,7 @@ def random_run(
         limit_s: after which tests are ended, s.
         fresh: measure again what each test reaches.
         workers: processes that try faults, or measure what tests reach.
+        decide: begin no fault where so many were seen that the run cannot fail any more.
 
     Returns:
         1 if so many survived that the wanted share is not to be believed, else 0.
@@ -50,29 +52,33 @@ def random_run(
         reach = kept(workers, fresh)
         doubtful = {test for test, realtime in zip(reach.tests, reach.realtime) if realtime}
         tests_of = partial(asked_for, reach=reach)
-    known = equivalent()
+    known, wanted = equivalent(), WANTED if own is None else BY_OWN
     done: list[Tried] = [(place, "equivalent") for place in places if place.key in known]
-    done += _tried([place for place in places if place.key not in known], tests_of, doubtful, end, max(workers, 1))
-    wanted = WANTED if own is None else BY_OWN
+    tried = [place for place in places if place.key not in known]
+    enough = len(tried) - limit(len(tried), wanted) if decide else math.inf
+    done += _tried(tried, tests_of, doubtful, end, max(workers, 1), enough)
     print("\n".join([*table(done), *rule(done, wanted)]))
     return int(too_few(done, wanted))
 
 
 def _tried(
-    places: Sequence[Place], tests_of: Callable[[Place], Sequence[str]], doubtful: set[str], end: float, workers: int
+    places: Sequence[Place], tests_of: Callable[[Place], Sequence[str]], doubtful: set[str], end: float, workers: int,
+    enough: float,
 ) -> list[Tried]:  # fmt: skip
     def outcome(judge: Judge, place: Place) -> tuple[Outcome, str, float]:
         begin = time.monotonic()
         try:
-            if begin > end:
+            if begin > end or len(seen) >= enough:
                 raise UndecidedError("not begun")
             tests = tests_of(place)
             killer = judge.killer(place, tests, end)
             seconds = time.monotonic() - begin
+            seen.extend([place] * (killer is not None))
             return ("killed", f"by {killer}", seconds) if killer else ("survived", f"{len(tests)} asked", seconds)
         except UndecidedError as error:
             return "undecided", str(error), time.monotonic() - begin
 
+    seen: list[Place] = []
     done: dict[Place, Outcome] = dict.fromkeys(places, "undecided")
     try:
         for n, (place, (done[place], how, seconds)) in enumerate(at_once(places, outcome, workers, doubtful), start=1):

@@ -95,6 +95,21 @@ def test_several_faults_are_tried_at_once_and_what_is_not_begun_in_time_is_undec
         assert "fails where more than" in said and f"asked tests see {asked} of" in said
 
 
+def test_a_run_that_is_to_decide_begins_no_fault_where_it_cannot_fail_any_more(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At most 17 of 20 may survive: three that are killed decide."""
+    chosen = [place for place in PLACES if place.line % 4][:10] + [place for place in PLACES if place.line % 4 == 0][:10]
+    monkeypatch.setattr(judge, "Judge", Fake)
+    monkeypatch.setattr(judge, "copy_of_the_checkout", lambda folder: folder)
+    monkeypatch.setattr(run, "drawn", lambda files, number, seed: chosen)
+    monkeypatch.setattr(run, "own_tests", lambda place: ["tests/test_m.py"])
+    for decide, killed in ((False, 10), (True, 3)):
+        assert random_run(20, 1, (), own=["m.py"], limit_s=600.0, fresh=False, workers=1, decide=decide) == 0
+        said = Counter(line.split()[1] for line in capsys.readouterr().out.splitlines() if "/20 " in line)
+        assert said["killed"] == killed and sum(said.values()) == 20
+
+
 @pytest.mark.parametrize(("survivors", "fails"), [(17, False), (18, True)])
 def test_a_change_whose_own_tests_see_hardly_anything_fails(survivors: int, fails: bool) -> None:
     """17 of 20 survive where half are seen in 2 of 1,000 draws, more in 2 of 10,000; where a tenth is seen, in two of three."""
