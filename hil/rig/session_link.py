@@ -10,6 +10,7 @@ from msgspec import Struct
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS
+from hil.plugins.user_plugins import words
 from hil.rig import RigSpec
 from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_rows, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
@@ -120,12 +121,12 @@ def refuse_undisturbed(e: Experiment, rig: RigSpec, link: SessionLink) -> None:
 
 
 def refuse_unopened(link: SessionLink) -> None:
-    """Open both ends of a link and close them: what cannot be opened is said before anything starts.
+    """Open both ends of a link and close them: what cannot be is said before anything starts.
 
     What is odd about it, the rig says, when it opens its end.
 
     Raises:
-        HilError: an end cannot be opened; with the link's own words.
+        HilError: an end cannot be opened or closed; with the link's own words.
     """
     from transport.links.opening import open_link  # of real time
 
@@ -134,6 +135,8 @@ def refuse_unopened(link: SessionLink) -> None:
             pass
     except TransportError as error:
         raise HilError(str(error)) from error
+    except (Exception, SystemExit) as error:  # of a link of the user's own, as it is closed
+        raise HilError(f"link {link.uri!r}: {words(error)}") from error
 
 
 def link_faults(e: Experiment, rig: RigSpec, link: SessionLink) -> list[BusFault]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 
 from hil.compose import compose
+from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.rig.session_link import SessionLink
+from hil.rig.session_link import SessionLink, refuse_unopened
 from hil.session import CARRIED
 from transport.installed import Folder, Point, points
+from transport.links import Closing
 from transport.links.traits import LinkTraits
 
 
@@ -29,3 +31,19 @@ def test_the_assumption_stands_in_the_certificate_of_a_certified_loop_alone() ->
     assert found is not None and found.certified and found.assumptions[-1] == CARRIED
     loop = compose(load_experiment("dc-motor-ours-integral", ["controller.integral_limit=[]", "allow_uncertified=true"]))
     assert loop.assuming(CARRIED) is loop
+
+
+@pytest.mark.parametrize("error", [OSError("no end"), SystemExit(0)])
+def test_a_link_that_cannot_be_closed_is_refused_before_anything_starts(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A SystemExit ended `hil run` with status 0, and nothing had run."""
+
+    class Own(Closing):
+        def close(self) -> None:
+            raise error
+
+    monkeypatch.setattr("transport.links.opening.open_link", lambda uri, role: Own())
+    link = SessionLink(uri="mine:x", traits=LinkTraits(commanders="anybody"), identifiers=None)
+    with pytest.raises(HilError, match=rf"^link 'mine:x': {type(error).__name__}: "):
+        refuse_unopened(link)
