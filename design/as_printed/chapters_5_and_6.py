@@ -270,16 +270,11 @@ def inner_loop(material: Material, coupler: Coupler, cutoff_hz: float) -> tuple[
     pole, gain = low_pass(cutoff_hz, PERIOD_S)
     rate = material.damping_n_s_per_m / PERIOD_S
     stiff = material.stiffness_n_per_m + rate
-    loop = 1.0 + stiff * direct
-    inner = {"A": rate * direct / loop, "B": 1.0 / loop, "C": -rate / loop, "D": stiff / loop}  # of G/(1 + G D_c)
-    c, n = taps.size, 3 + taps.size
-    A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    B[0, 0], B[1, 0] = 1.0, inner["B"]
-    A[1, 1] = inner["A"]
-    A[1, 2 : 2 + c] = -inner["B"] * taps
-    if c:
-        A[2, 1], B[2, 0] = inner["C"], inner["D"]
-        A[2, 2 : 2 + c] = -inner["D"] * taps
-        A[range(3, 2 + c), range(2, 1 + c)] = 1.0
-    A[-1, -1], C[0, -1] = pole, gain
-    return A, B, C
+    n = 3 + taps.size
+    state = np.eye(n + 1)  # each state and the input, and what follows of them, as a row over all of them
+    own, line, weighed, omega = state[1], state[2:-2], state[-2], state[-1]
+    left = (omega - taps @ line) / (1.0 + stiff * direct)  # of G/(1 + G D_c)
+    inner = rate * direct / (1.0 + stiff * direct) * own + left
+    force = stiff * left - rate / (1.0 + stiff * direct) * own
+    A, B = np.split(np.array([omega, inner, *[force, *line][: taps.size], pole * weighed]), [n], axis=1)
+    return A, B, gain * weighed[None, :n]
