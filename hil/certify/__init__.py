@@ -228,18 +228,20 @@ def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict
         return verdict.undecided(f"{verdict.reason} if the controller acted; {loop.silent}, and until then the input is 0")
     if verdict.state == "undecided" and loop.silent:
         return msgspec.structs.replace(verdict, reason=f"{verdict.reason}; {loop.silent}")
-    if not verdict.certified or rate <= 1.0 or loop.sc is None or not loop.waited:
+    never = verdict.state == "refused" and bool(loop.silent)  # the plant grows, but not as a loop that acts
+    if not (verdict.certified or never) or rate <= 1.0 or loop.sc is None or not loop.waited:
         return verdict
     chance, node = waiting_chance(loop.sc, loop.waited, loop.model.nodes.outputs)
     growth = chance * rate**2
-    if growth < 1.0 - WAITS_TOO_LONG:
+    if growth < 1.0 - WAITS_TOO_LONG or (never and chance < 1.0 - WAITS_TOO_LONG):
         return verdict
     name = loop.model.nodes.names[node]
+    less = loop.silent if never else f"that none of network.nodes.{name} has come is less likely by {chance:.4g} with every slot"
     waits = (
         f"until a packet of every node has come the input is 0, and the plant's squared state grows by up to {rate**2:.4g} in a "
-        f"slot; that none of network.nodes.{name} has come is less likely by {chance:.4g} with every slot"
+        f"slot; {less}"
     )
-    sure = growth > 1.0 + WAITS_TOO_LONG and loop.sc.between is None
+    sure = never or (growth > 1.0 + WAITS_TOO_LONG and loop.sc.between is None)
     return msgspec.structs.replace(
         verdict.undecided(f"{verdict.state} once it acts; {waits}"), kind="mean-square stability", number=growth, limit=1.0,
         quantity=UNTIL_ALL_CAME,

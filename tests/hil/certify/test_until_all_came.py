@@ -70,7 +70,9 @@ def test_a_loop_that_may_be_silent_is_not_refused_for_what_the_controller_would_
     found = limited(monkeypatch, refused, 1.0, silent=silent)
     assert found.state == "undecided" and found.details == {"stable": False}
     assert found.reason == f"{CERTIFIED.reason} if the controller acted; {silent}, and until then the input is 0"
-    assert limited(monkeypatch, refused, 1.01, silent=silent) is refused
+    grows = limited(monkeypatch, refused, 1.01, 1.0, silent=silent)
+    assert (grows.state, grows.number) == ("refused", pytest.approx(1.01**2)) and grows.reason.endswith(f"in a slot; {silent}")
+    assert limited(monkeypatch, refused, 1.01, 0.999, silent=silent) is refused, "the silent node is none that is waited for"
     open_ = replace(CERTIFIED, state="undecided", reason="too many modes")
     assert limited(monkeypatch, open_, 1.01, silent=silent) == replace(open_, reason=f"too many modes; {silent}")
     assert limited(monkeypatch, open_, 1.01) is open_
