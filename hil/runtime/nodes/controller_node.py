@@ -28,6 +28,10 @@ FAR: Final = 4096
 """Slots that may be missing where a whole second has passed without a question."""
 
 
+MOST_FRAMES: Final = 1024
+"""Frames of a slot that wait for the one that closes it; a rig whose packets all arrive in one slot sends fewer."""
+
+
 class Refusals(Struct):
     """Frames that a controller did not take.
 
@@ -103,8 +107,11 @@ class Questions:
             self._candidates.clear()
         counter = packet.counter
         before_it = self._frames.get(counter)
-        if before_it is not None or self._closed:
-            if before_it is None or before_it[1] != data:
+        full = len(self._frames) >= MOST_FRAMES and packet.flags & MORE
+        if before_it is not None or self._closed or full:
+            if before_it is None:
+                self._counts.contradicted += 1
+            elif before_it[1] != data:
                 self._counts.contradicted += 1
                 self._spoilt.add(counter)
             return None

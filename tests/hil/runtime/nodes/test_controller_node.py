@@ -11,7 +11,7 @@ from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.runtime.nodes import SEGMENT, Wire, before, session_wire
-from hil.runtime.nodes.controller_node import NEAR, SILENCE_NS, ControlNode, Questions, Refusals
+from hil.runtime.nodes.controller_node import MOST_FRAMES, NEAR, SILENCE_NS, ControlNode, Questions, Refusals
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
 from transport.wire import HELLO, echo
 
@@ -215,6 +215,23 @@ def test_of_two_frames_with_one_number_neither_sample_counts(first: str) -> None
     assert [take(data) for data in (pair if first == "forged" else pair[::-1])] == [None, None]
     taken = take(last)
     assert taken is not None and [data for _, data in taken] == [b"", last] and counts.contradicted == 1
+
+
+def test_frames_that_no_one_closes_take_bounded_memory(loop: Loop) -> None:
+    """Without a rig, whoever sends first begins a slot; of frames that never end it, each was kept."""
+    node = ControlNode(loop)
+
+    def frame(flags: int, counter: int) -> bytes:
+        return encode_sensor(SensorPacket(5, flags | EMPTY, 0, (), nonce=7, counter=counter))
+
+    for counter in range(1, MOST_FRAMES + 11):
+        assert node.on_frame(frame(MORE, counter)) is None
+    questions = node._questions
+    assert len(questions._frames) == MOST_FRAMES and node.counts.contradicted == 10
+    assert node.on_frame(frame(0, MOST_FRAMES + 11)) is not None
+    for counter in range(2000, 2010):
+        assert node.on_frame(frame(MORE, counter)) is None
+    assert node.counts.contradicted == 20 and not questions._spoilt
 
 
 def test_a_new_rig_has_its_controller_after_a_second_of_silence_and_a_controller_that_starts_late_its_rig(loop: Loop) -> None:
