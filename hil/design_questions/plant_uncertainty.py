@@ -54,12 +54,13 @@ class Interval(NamedTuple):
 
 
 class PlantSet(NamedTuple):
-    """M (n, a), N1 (b, n), N2 (b, m) that cover the plants, the grid that they were fitted to, and its second differences."""
+    """M (n, a), N1 (b, n), N2 (b, m) that cover the plants; the grid they were fitted to, its ends and second differences."""
 
     M: Array
     N1: Array
     N2: Array
     changes: Array
+    ends: Array
     bends: tuple[Array, ...]
 
 
@@ -144,8 +145,8 @@ def plants_between(target: TrackingTarget, design: Design, intervals: Sequence[I
     largest = float(np.linalg.norm(delta, 2, axis=(-2, -1)).max()) + between
     spread = changes.reshape(*[count] * len(names), n, width)
     bends = tuple(np.diff(spread, 2, axis=axis).reshape(-1, n, width) for axis in range(len(names)))
-    N = N * across
-    return PlantSet(down[:, None] * M * largest, N[:, :n], N[:, n:], changes, bends)
+    ends, N = spread[np.ix_(*[[0, -1]] * len(names))].reshape(-1, n, width), N * across
+    return PlantSet(down[:, None] * M * largest, N[:, :n], N[:, n:], changes, ends, bends)
 
 
 def _felt(design: Design, most: Array) -> tuple[Array, Array]:
@@ -203,10 +204,9 @@ def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[
     found = plants_between(target, design, intervals)
     with one_blas_thread():
         margin = uncertainty_margin(structure, gains, found.M, found.N1, found.N2)
-        ends = _extreme(found.changes, len(intervals))
-        worst = max(_radius(target, design, change) for change in ends)
+        worst = max(_radius(target, design, change) for change in found.ends)
         proved = structure.between is None and margin > 1.0
-        growth = "" if proved or worst >= 1.0 else _growth(structure, gains, found, ends)
+        growth = "" if proved or worst >= 1.0 else _growth(structure, gains, found)
         details: dict[str, object] = {
             "parameters": [i._asdict() for i in intervals],
             "margin": margin if np.isfinite(margin) else None,
@@ -257,23 +257,16 @@ def robust_design(
         return robust(design, found.M, found.N1, found.N2, progress=progress)
 
 
-def _extreme(changes: Array, axes: int) -> Array:
-    """The plants of the ends of all intervals."""
-    count = GRID[axes]
-    grid = changes.reshape(*[count] * axes, *changes.shape[1:])
-    return grid[np.ix_(*[[0, -1]] * axes)].reshape(-1, *changes.shape[1:])
-
-
 def _radius(target: TrackingTarget, design: Design, change: Array) -> float:
     n = len(target.A)
     A, B = target.A + change[:, :n], target.B + change[:, n:]
     return float(dataclasses.replace(design.problem, A=A, B=B).structure().system(design.gains).radius())
 
 
-def _growth(structure: LoopStructure, gains: Array, found: PlantSet, ends: Array) -> Growth | str:
+def _growth(structure: LoopStructure, gains: Array, found: PlantSet) -> Growth | str:
     """How much one family grows in a slot, or in words why that is not known."""
     try:
-        growth = quadratic_growth(structure, gains, found.changes, ends, found.bends)
+        growth = quadratic_growth(structure, gains, found.changes, found.ends, found.bends)
     except np.linalg.LinAlgError:
         return "so near the edge no quadratic family is computed"
     except DesignError as error:  # without the solver

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.networked_loop.uncertainty import guaranteed_h2, robust_norms, uncertainty_margin
+from design.networked_loop.uncertainty import guaranteed_h2, robust_h2, robust_norms, uncertainty_margin
 from design.tracking.robust_synthesis import _with_slope, robust
 from design.tracking.synthesis import Design, TrackingProblem, solve
 
@@ -40,7 +40,7 @@ def test_no_gains_nearby_have_a_smaller_guaranteed_cost(nominal: Design) -> None
     alpha = found.problem.alpha(structure)
     norms = robust_norms(structure, found.gains, M, N1, 0.2 * N2)
     assert norms.h2 < robust_norms(structure, nominal.gains, M, N1, 0.2 * N2).h2
-    around = norms.h2_multiplier * np.geomspace(0.5, 2.0, 81)
+    around = robust_h2(structure, found.gains, M, N1, 0.2 * N2)[1] * np.geomspace(0.5, 2.0, 81)
 
     def least(gains: np.ndarray) -> float:
         return min(guaranteed_h2(structure, gains, M, N1, 0.2 * N2, alpha, float(multiplier)) for multiplier in around)
