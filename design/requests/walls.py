@@ -219,7 +219,8 @@ class DesignedFollowing:
         )  # fmt: skip
         alike = np.eye(count) if self.wall.pattern is None else np.full((count, count), 1.0 / count)
         return follow_wall(
-            self.wall, device, period_s=model.period_s, sc=model.tau_max, ca=model.d_max,
+            self.wall, device, period_s=model.period_s, sc=model.tau_max if task.sc is None else task.sc.max_delay,
+            ca=model.d_max if task.ca is None else task.ca.max_delay,
             material_chain=alike if self.material_chain is None else np.array(self.material_chain),
             force_weight=self.force_weight, hand_step_n=self.hand_step_n, noise_m=self.noise_m,
         )  # fmt: skip

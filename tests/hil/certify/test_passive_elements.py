@@ -212,3 +212,14 @@ def test_a_coupler_is_made_for_the_delays_that_its_node_s_clock_and_medium_leave
         assert loop.verdict.certified and loop.verdict.details["delays"] == delays
         assert loop.verdict.number == pytest.approx(1.9857, rel=1e-5)
         assert simulate(loop, 0).arrays["/plant/state"]["given"].max() < 1e-9
+
+
+def test_model_following_is_made_for_the_delay_that_its_loop_has():
+    """With rows for an age that its laws never draw it was made for that age, and unstable for its own hand."""
+    asked = {"controller": {"kind": "model-following"}, "allow_uncertified": True, "limits": {"watchdog_slots": 10}}
+    plain, rows = (compose(experiment_of("omni-push", **asked, **more)) for more in ({}, {"network.sc.max_age": 5}))
+    assert rows.controller == plain.controller
+    assert rows.verdict.details["spectral_radius"] == plain.verdict.details["spectral_radius"] < 1.0
+    assert simulate(rows, 0).arrays["/plant/state"]["position"][-1] == pytest.approx(1e-3, rel=1e-3)
+    with pytest.raises(ExperimentError, match=r"feedback: made for other delays or materials, expected 2 \+ 3 at most"):
+        compose(experiment_of("omni-push", controller=plain.controller, allow_uncertified=True, **{"network.sc.law.age": 2}))
