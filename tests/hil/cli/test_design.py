@@ -38,7 +38,7 @@ def test_table_shows_gains_and_certificate():
     for said in (r"gains K\[tau\]\[row\] in V per rad, row by", r" H2 norm 3\.89", "mean-square stable",
                  r"margin of \(7\.28\) \d\S+ at gamma",
                  "gain 172.38 from 170.66 to 174.1, drifting or not",
-                 r"uncertainty certified ", r"guaranteed H2 norm 4\.02\d* guaranteed H-infinity 20\.\d+$"):  # fmt: skip
+                 r"uncertainty certified ", r"guaranteed H2 norm 4\.0[12]\d* guaranteed H-infinity 20\.\d+$"):  # fmt: skip
         assert re.search(said, text), said
 
 
