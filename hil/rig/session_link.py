@@ -120,14 +120,22 @@ def refuse_undisturbed(e: Experiment, rig: RigSpec, link: SessionLink) -> None:
         raise ExperimentError(e.name, faults)
 
 
-def refuse_unopened(link: SessionLink) -> None:
+def refuse_unopened(link: SessionLink, *, external: bool) -> None:
     """Open both ends of a link and close them: what cannot be is said before anything starts.
 
     What is odd about it, the rig says, when it opens its end.
 
+    Args:
+        link: between the processes of a session.
+        external: the controller is an external one, there already: it must not meet these ends.
+
     Raises:
-        HilError: an end cannot be opened or closed; with the link's own words.
+        HilError: the link lies within one process, or an end cannot be opened or closed; with the link's own words.
     """
+    if link.traits.one_process and (external or not link.traits.in_process):
+        raise HilError(f"link {link.uri!r}: lies within one process; expected a link between two, such as can:hil:rig0")
+    if external or link.traits.in_process:
+        return
     from transport.links.opening import open_link  # of real time
 
     try:

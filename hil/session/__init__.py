@@ -106,8 +106,8 @@ def run_session(
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
     refuse_undisturbed(experiment, loop.rig, on)
-    if clock == "real" and not (external or on.traits.in_process):  # an external one, there already, must not meet this end
-        refuse_unopened(on)
+    if clock == "real":
+        refuse_unopened(on, external=external)
     loop = loop.assuming(CARRIED) if clock == "real" and on.unproved else loop
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.

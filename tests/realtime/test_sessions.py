@@ -302,7 +302,7 @@ def test_local_needs_no_controller_process_and_takes_no_external_controller(tmp_
     summary = json.loads(done.stdout)
     assert summary["slots"] == 20 and summary["link"] == "local:" and not summary["problems"]
     refused = hil_command(*run, "--external", cwd=tmp_path)
-    assert refused.returncode == 2 and "needs a link" in refused.stderr
+    assert refused.returncode == 2 and "lies within one process" in refused.stderr
 
 
 def test_a_restart_on_the_time_line_ends_the_controller_process_and_starts_another(tmp_path: Path) -> None:

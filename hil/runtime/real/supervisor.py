@@ -235,8 +235,6 @@ def run_real(
         HilError: if rig or controller ended before the run began, or no controller answered.
         Terminated: a signal came before the run began.
     """
-    if external and link.traits.in_process:
-        raise HilError(f"{link.uri} runs our controller in the rig's process: an external one needs a link")
     if external and loop.rig.fault_schedule.restarts:
         raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
     clear_dead_channels(bus_directory())

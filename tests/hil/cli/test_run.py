@@ -75,7 +75,9 @@ def test_safety_ends_the_local_gain_with_status_3(cli: Hil) -> None:
         (["dc-motor-hinf", "--link", "can:hil:rig0"], "--clock real"),
         (["dc-motor-hinf", "--link", ""], "--clock real"),
         (["dc-motor-hinf", "--clock", "real", "--link", ""], "link '': no scheme"),
-        (["dc-motor-hinf", "--clock", "real", "--link", "memory:"], "lives inside one process"),
+        (["dc-motor-hinf", "--clock", "real", "--link", "memory:"], "lies within one process"),
+        (["dc-motor-hinf", "--clock", "real", "--link", "can:virtual:a"], "lies within one process; expected a link between two"),
+        (["dc-motor-hinf", "--clock", "real", "--external", "--link", "can:virtual:a"], "lies within one process"),
         (["dc-motor-hinf", "-o", "x" * 300 + ".mcap"], "File name too long"),
         (["dc-motor-hinf", "-o", "new/" + "x" * 300 + ".mcap"], "File name too long"),
         (["dc-motor-hinf", "-o", "/proc/self/x/y.mcap"], "cannot be"),
@@ -142,7 +144,10 @@ def test_external_link_that_cannot_be_opened_leaves_no_log(cli: Hil, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("refused", [("-o", "x.html"), ("--set", "network.sc.law={kind='constant', age=9}")])
+AGED = "network.sc.law={kind='constant', age=9}"
+
+
+@pytest.mark.parametrize("refused", [("-o", "x.html"), ("--link", "local:"), ("--set", AGED)])
 def test_a_rig_that_is_refused_waits_for_nobody(cli: Hil, tmp_path: Path, refused: tuple[str, str]) -> None:
     status, _, err = cli("rig", "dc-motor-hinf", "--link", "can:hil:refused", *refused)
     assert status == 2 and "waiting" not in err and not list(tmp_path.iterdir())
