@@ -120,7 +120,7 @@ def refuse_undisturbed(e: Experiment, rig: RigSpec, link: SessionLink) -> None:
         raise ExperimentError(e.name, faults)
 
 
-def refuse_unopened(link: SessionLink, *, external: bool) -> None:
+def refuse_unopened(link: SessionLink, *, external: bool = False) -> None:
     """Open both ends of a link and close them: what cannot be is said before anything starts.
 
     What is odd about it, the rig says, when it opens its end.
