@@ -85,12 +85,8 @@ class Pattern:
         if gap > slack * (self.width_m + self.height_m):
             raise FieldError("patches", f"leave a gap of {gap:.6g} m^2 of {self.width_m * self.height_m:.6g} m^2")
 
-    def material_at(self, y_m: float, z_m: float) -> int:
-        """Return the index of the material at a point of the plane."""
-        return self.finder()(y_m, z_m)
-
     def finder(self) -> Callable[[float, float], int]:
-        """Return `material_at` with the edges computed once, for a loop."""
+        """Return what gives the index of the material at a point (y, z) of the plane, in m, with the edges computed once."""
         width, height, patches = self.width_m, self.height_m, self.patches
         edges = tuple((p.y_m, p.y_m + p.width_m, p.z_m, p.z_m + p.height_m, p.material) for p in patches)
 

@@ -52,9 +52,9 @@ def wall() -> dict[str, Any]:
 
 def slide(heading: float, samples: int, step_m: float = STEP_M) -> Iterator[int]:
     """Yield the materials that a straight slide meets, one per sample."""
-    pattern = square_rows(SIDE_M)
+    find = square_rows(SIDE_M).finder()
     y, z = math.cos(heading) * step_m, math.sin(heading) * step_m
-    return (pattern.material_at(1.5 * SIDE_M + k * y, 0.1 * SIDE_M + k * z) for k in range(samples))
+    return (find(1.5 * SIDE_M + k * y, 0.1 * SIDE_M + k * z) for k in range(samples))
 
 
 def visits(heading: float) -> tuple[int, ...]:

@@ -114,6 +114,6 @@ def test_a_pattern_with_a_gap_an_overlap_or_an_overhang_is_refused_with_the_area
 
 
 def test_the_pattern_repeats():
-    pattern = square_rows(0.02)
-    assert [pattern.material_at(y, z) for y, z in ((0.01, 0.01), (0.03, 0.01), (0.01, 0.03))] == [0, 1, 2]
-    assert [pattern.material_at(y - 0.4, z + 0.8) for y, z in ((0.01, 0.01), (0.03, 0.01), (0.01, 0.03))] == [0, 1, 2]
+    find = square_rows(0.02).finder()
+    assert [find(y, z) for y, z in ((0.01, 0.01), (0.03, 0.01), (0.01, 0.03))] == [0, 1, 2]
+    assert [find(y - 0.4, z + 0.8) for y, z in ((0.01, 0.01), (0.03, 0.01), (0.01, 0.03))] == [0, 1, 2]

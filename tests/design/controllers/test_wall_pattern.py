@@ -39,10 +39,11 @@ def test_the_law_holds_for_short_steps_only():
 def test_isotropic_placement_gives_the_law_within_its_confidence_interval():
     """Two-sided at 1e-3 over 9 entries, 400,000 independent moves of 0.02 w: an error of 2 % of a rate would be seen."""
     pattern, step, count = square_rows(1.0), 0.02, 400_000
+    find = pattern.finder()
     rng = np.random.default_rng(6)
     place, angle = rng.uniform(0, 2, (count, 2)), rng.uniform(0, 2 * np.pi, count)
     moved = place + step * np.column_stack([np.cos(angle), np.sin(angle)])
-    here, there = (np.array([pattern.material_at(*p) for p in points.tolist()]) for points in (place[:120_000], moved[:120_000]))
+    here, there = (np.array([find(*p) for p in points.tolist()]) for points in (place[:120_000], moved[:120_000]))
     expected = material_chain(pattern, 3, step)
     for i in range(3):
         row = there[here == i]
@@ -60,9 +61,9 @@ def test_sliding_remembers_and_a_chain_does_not():
     statistic, freedom = memory_statistic(path, 3)
     assert freedom == 12
     assert statistic < chi2.isf(1e-3, freedom)
-    pattern = square_rows(0.02)
+    find = square_rows(0.02).finder()
     t = np.arange(20_000) * 0.15 * np.pi * 0.02
-    line = [pattern.material_at(0.8 * s, 0.6 * s) for s in t.tolist()]
+    line = [find(0.8 * s, 0.6 * s) for s in t.tolist()]
     assert memory_statistic(line, 3)[0] > 10 * chi2.isf(1e-3, freedom)
 
 
