@@ -13,9 +13,11 @@ from click.testing import CliRunner
 from scipy.linalg import expm
 
 import hil.design_questions as design_problem
+from design.requests.tracking import solve_tracking
 from hil.cli.design import command
-from hil.design_questions import PRINTED_VTOL, compromises, problem_for, tracking_target
+from hil.design_questions import PRINTED_VTOL, compromises, problem_for, target_of, tracking_target, verdict_on
 from hil.errors import HilError
+from hil.experiment import load_experiment
 from plants import VTOL
 
 FAST: dict[str, Any] = {"information": "constant", "starts": 1}
@@ -35,6 +37,15 @@ def test_the_printed_vtol_is_the_zero_order_hold_of_the_plant_to_four_decimals()
 def test_an_option_that_no_design_has_is_named_with_those_that_there_are() -> None:
     with pytest.raises(HilError, match=r"design: no option is called 'start'.*starts.*There are: "):
         problem_for(tracking_target("dc-motor"), start=3)
+
+
+def test_gains_that_lean_on_turns_which_shorter_frames_break_are_not_certified_by_a_design() -> None:
+    """`hil run` finds an order of the bus's ages in which these gains grow; frames of 1 Mbit/s leave one order."""
+    target = tracking_target("dc-motor-ours-busy-can")
+    verdict = verdict_on(target, solve_tracking(problem_for(target, starts=1)))
+    assert verdict.state == "undecided" and "certified while all frames on the bus have their longest length" in verdict.reason
+    fast = target_of(load_experiment("dc-motor-ours-busy-can", ["network.media.bus.bitrate=1000000"]), "fast")
+    assert target.any_order and not fast.any_order
 
 
 def test_a_mixed_design_lies_between_the_pure_ones_in_both_norms() -> None:
