@@ -21,7 +21,7 @@ class PlantRun(Protocol):
         """Hold u + w for dt_ns."""
         ...
 
-    def measure(self) -> tuple[float, ...]:
+    def measure(self) -> Sequence[float]:
         """Return the outputs now; measuring changes nothing."""
         ...
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 from design.controllers import Known, LoopModel, MultiSampleController, Rows
 from design.controllers.contract import Controller
 from hil.rig.loop import EQUAL, Running, handed, looks_back
+from hil.runtime.nodes.controller_input import in_tuples
 
 LEAST: Final = 60
 """Slots of one reference below which the feedforward is not judged."""
@@ -89,11 +90,11 @@ class AnswerWatch:
     ) -> None:
         stated_run = stated.start(model)
         self._by_samples = isinstance(running, MultiSampleController)
-        self._running_rows: Callable[..., Rows] = running.rows
+        self._running_rows = in_tuples(running)
         self._stated_rows: Callable[..., Rows] = stated_run.rows
         self._at_zero_samples: tuple[Callable[..., Rows], Callable[..., Rows]] | None = None
         if has_reference:
-            self._at_zero_samples = controller.start(model).rows, stated.start(model).rows
+            self._at_zero_samples = in_tuples(controller.start(model)), stated.start(model).rows
         self._largest = 0.0
         self._departed: tuple[int, str] | None = None
         self._feedforward = OwnFeedforward()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from design.controllers import Known, MultiSampleController, Rows, RunningController, Sample
@@ -64,6 +64,12 @@ def controller_input(loop: Loop) -> NewestSample | EverySample:
     return EverySample(loop, running) if isinstance(running, MultiSampleController) else NewestSample(loop, running)
 
 
+def in_tuples(running: Running) -> Callable[..., Rows]:
+    """Return the `rows` of a control law; of a stranger, who may return lists, in tuples: compiled, a loop takes no other."""
+    rows: Callable[..., Sequence[Sequence[float]]] = running.rows
+    return running.rows if is_ours(running) else lambda *known: tuple(map(tuple, rows(*known)))
+
+
 def _watch(loop: Loop, running: RunningController | MultiSampleController) -> AnswerWatch | None:
     """Return the comparison of a control law with its table; None for a controller that is ours, or that has no table."""
     if loop.watched is None or loop.watched.controller is None or is_ours(loop.controller):
@@ -105,7 +111,7 @@ class NewestSample:
         e, sensors = loop.experiment, loop.rig.sensors
         outputs = len(e.plant.outputs)
         self.watch = _watch(loop, running)
-        self._rows = running.rows if self.watch is None else self.watch.rows
+        self._rows = in_tuples(running) if self.watch is None else self.watch.rows
         self._reference, self._period_ns = loop.reference(), e.period_ns
         self._nothing: Rows = ((0.0,) * len(e.plant.inputs),) * loop.rows
         self._lengths = [len(s.outputs) * s.buffer for s in sensors]
@@ -166,7 +172,7 @@ class EverySample:
 
     def __init__(self, loop: Loop, running: MultiSampleController) -> None:
         self.watch = _watch(loop, running)
-        self._rows = running.rows if self.watch is None else self.watch.rows
+        self._rows = in_tuples(running) if self.watch is None else self.watch.rows
         self._reference, self._period_ns = loop.reference(), loop.experiment.period_ns
         self._assembly = SampleHistory(loop.rig.sensors, running.memory)
         self.sample_ns = -1

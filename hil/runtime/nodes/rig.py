@@ -178,7 +178,7 @@ class Rig:
             self._moved = False
         elif k:
             self._plant.advance(self._period_ns, self.actuator.u, self._w)
-        y = self._y = self._plant.measure()
+        y = self._y = tuple(self._plant.measure())
         self._r = self._reference.at(k)
         nonce = self._nonce(k) if self._nonce is not None else 0
         for i, node in enumerate(self._sensors):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ import pytest
 
 import hil
 from design.controllers import LoopModel
-from hil.log.write.provenance import loop_form
 from plants import DCMotor
 from tests.hil.compose.lying_plugins import Table
 from transport import MarkovAge
@@ -79,14 +79,27 @@ def test_a_packet_that_the_rig_refuses_is_a_problem_with_its_reason(
 
 
 def test_a_list_of_outputs_is_sent_as_a_tuple_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled, the loop takes nothing but a tuple: what else comes is a problem of the run, and nothing wrong is sent."""
+    """Compiled, the loop takes nothing but a tuple: what an author's part returns becomes one where it enters."""
     sent = []
     for given in ((0.5,), [0.5], np.array([0.5])):
         monkeypatch.setitem(GIVEN, "plant", given)
         found = hil.run("dc-motor-h2", plant=PARTS["plant"], duration=60, allow_uncertified=True)
-        if isinstance(given, tuple) or loop_form() == "interpreted":
-            sent.append(found.arrays["/controller/rows"])
-        else:
-            assert "tuple object expected" in found.summary["problems"]["plug_in_failed"]
+        sent.append(found.arrays["/controller/rows"])
     for rows in sent:
         np.testing.assert_array_equal(sent[0], rows)
+
+
+@dataclass(frozen=True)
+class Lists(Table):
+    """Answers by a list of lists, as its check allows."""
+
+    def start(self, model: LoopModel) -> Any:
+        run = Table.start(self, model)
+        return SimpleNamespace(selection=run.selection, rows=lambda *known: [[*row] for row in run.rows(*known)])
+
+
+def test_rows_in_lists_are_sent_as_in_tuples() -> None:
+    found = [hil.run("dc-motor-h2", controller=each, duration=10, allow_uncertified=True) for each in (Table(), Lists())]
+    one, other = (session.arrays["/controller/rows"] for session in found)
+    np.testing.assert_array_equal(one, other)
+    assert len(one) > 190 and found[1].status == 0
