@@ -99,7 +99,7 @@ def _ages(law: NetworkLaw) -> Sequence[int]:
 
 def over_network(target: TrackingTarget, sc: Measured, ca: Measured) -> TrackingTarget:
     """Return what is designed for, over measured laws."""
-    return target._replace(sc=sc.chain(), ca=ca.chain(), any_order=False)
+    return target._replace(sc=sc.chain(), ca=ca.chain(), left_out="")
 
 
 def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured) -> Verdict:

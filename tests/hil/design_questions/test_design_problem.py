@@ -43,9 +43,17 @@ def test_gains_that_lean_on_turns_which_shorter_frames_break_are_not_certified_b
     """`hil run` finds an order of the bus's ages in which these gains grow; frames of 1 Mbit/s leave one order."""
     target = tracking_target("dc-motor-ours-busy-can")
     verdict = verdict_on(target, solve_tracking(problem_for(target, starts=1)))
-    assert verdict.state == "undecided" and "certified while all frames on the bus have their longest length" in verdict.reason
+    assert verdict.state == "undecided" and "certified but for what is left out: frames on the bus that" in verdict.reason
     fast = target_of(load_experiment("dc-motor-ours-busy-can", ["network.media.bus.bitrate=1000000"]), "fast")
-    assert target.any_order and not fast.any_order
+    assert target.left_out and not fast.left_out
+
+
+@pytest.mark.parametrize(("bound", "state"), [("", "undecided"), (", discard_older=3", "certified")])
+def test_latencies_without_a_bound_leave_a_design_undecided_as_they_leave_its_run(bound: str, state: str) -> None:
+    law = f"{{kind='packet', latency={{dist='gamma', a=2.0, scale='8 ms'}}{bound}}}"
+    target = target_of(load_experiment("dc-motor-packets", [f"network.{way}.law={law}" for way in ("sc", "ca")]), "late")
+    verdict = verdict_on(target, solve_tracking(problem_for(target, **FAST)))
+    assert verdict.state == state and ("have no bound" in verdict.reason) == (not bound)
 
 
 def test_a_mixed_design_lies_between_the_pure_ones_in_both_norms() -> None:
