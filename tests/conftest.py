@@ -9,6 +9,7 @@ import gc
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,10 +67,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """Look for no garbage while tests are imported, and later not in what was imported: a third of the start of a worker."""
+    """Look for no garbage while tests are imported, and later not in what was imported: a third of the start of a worker.
+
+    Python-can loads asammdf where it is there, and with it pandas: another tenth, see `transport.links.python_can`.
+    """
     gc.disable()
     try:
-        return (yield)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(sys.modules, "asammdf", None)
+            return (yield)
     finally:
         gc.freeze()
         gc.enable()

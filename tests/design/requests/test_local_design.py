@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import control
 import numpy as np
 import pytest
 
@@ -28,6 +27,8 @@ def model(tau_max: int = 2, d_max: int = 1) -> LoopModel:
 
 def test_without_a_network_the_norms_are_python_controls() -> None:
     """The loop that the certificate is of, built by python-control from plant and controller, has the same H2 norm."""
+    import control
+
     law = local_design(A, B, C, "lqg")
     loop, gains = dynamic_loop(A, B, C, NOW, NOW, law)
     ours = certify_system(loop.system(gains), initial=loop.default_initial, hinf=True)

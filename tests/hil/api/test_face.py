@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 
@@ -192,6 +191,8 @@ def test_sweep_compare_and_design_give_numbers() -> None:
 
 
 def test_a_log_is_verified_with_the_models_that_it_was_run_with(tmp_path: Path) -> None:
+    import control  # a second of CPU time, and matplotlib's list of fonts in the home
+
     motor = control.tf([150.0], [1.0, 12.0, 0.0])
     gain = [[0.05]]
     changes = {"limits.state": {}, "reference.0.at": 0.25, "allow_uncertified": True}

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure as Sheet
 
 from design.monte_carlo.confidence import Interval
 from design.passivity.stiffness_map import StiffnessCell
@@ -84,6 +83,8 @@ def many_runs() -> dict[str, list[str]]:
 
 def results() -> dict[str, list[str]]:
     """What a notebook shows of them, and of sweeps over seeds, with their plots."""
+    from matplotlib.figure import Figure as Sheet
+
     stopped = Sweep(columns(3.0, stopped=1), 0, caution="withdrawn", experiment="motor", quantities=OTHERS)
     shown = FOUND | {"seeds": stopped, "far seeds": Sweep(columns(-3.0, far=200.0), 0, quantities=OTHERS, experiment="motor")}
     found = {}
