@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from transport.can_analysis import ErrorBursts
 
 _TRAFFIC = (".csv", ".dbc")
-_RECORDED = (".log", ".asc", ".blf")
-_UNBOUNDED = "recorded frames have no period, and no bound follows from them"
 _CODEC = "hilrig"
 
 
@@ -64,8 +62,8 @@ def analyse(
     if errors is None and error_interval is not None:
         raise HilError("--error-interval: only with --errors, how many may come at once")
     bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round((error_interval or 1.0) * 1e9))
-    if target.endswith(_RECORDED):
-        raise HilError(f"{target}: {_UNBOUNDED}; expected a .csv or .dbc of messages, or an experiment")
+    if target.endswith((".log", ".asc", ".blf")):
+        raise HilError(f"{target}: recorded frames have no period, and no bound follows from them; expected a .csv or .dbc")
     if target.endswith(_TRAFFIC):
         if sets:
             raise HilError(f"--set: {target} is no experiment")
@@ -152,7 +150,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     if bus is None:
         raise HilError(f"{experiment.name}: no medium of kind 'can', see hil guide can-bus")
     if bus.table.recorded:
-        raise HilError(f"{experiment.name}: {_UNBOUNDED}; hil run measures")
+        raise HilError(f"{experiment.name}: recorded frames have no period, and no bound follows from them; hil run measures")
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
     messages, disturbed = analysed(loop.rig, bus, loop.rows), is_disturbed(bus.table, experiment.fault)

@@ -181,12 +181,11 @@ def stated_by(measure: Measure, signals: Signals) -> tuple[Quantity, ...]:
             raise AssertionError(f"{what} is {said!r:.80}, expected text")
     stated: tuple[Quantity, ...] = asked("quantities(signals)", lambda: tuple(measure.quantities(signals)))
     for quantity in stated:
-        if not isinstance(quantity, Quantity):
-            raise AssertionError(f"quantities(signals) gave {quantity!r:.80}, expected hil.measure.Quantity objects")
         try:
             convert(asdict(quantity), Quantity)
-        except ValidationError as error:
-            raise AssertionError(f"quantities(signals): {quantity.name!r:.40}: {error}") from error
+        except (TypeError, ValidationError) as error:
+            said = f"quantities(signals) gave {quantity!r:.80}, expected hil.measure.Quantity objects: {error}"
+            raise AssertionError(said) from error
     return stated
 
 

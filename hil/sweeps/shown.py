@@ -40,6 +40,14 @@ class ShownResult(ABC):
     def _runs(self) -> tuple[Mapping[str, Sequence[str]], Sequence[Values]]:
         """Return the columns of each group of runs, and what tells the groups apart: a word for each, by name."""
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return a row per run: of which group it is, the seed, whether safety stopped it, every quantity."""
+        words, groups = self._runs()
+        table: dict[str, Any] = {name: np.repeat(each, [len(group["seed"]) for group in groups]) for name, each in words.items()}
+        for name, kind in {"seed": np.int64, "stopped": np.int64, **{q.name: np.float64 for q in self.quantities}}.items():
+            table[name] = np.concatenate([np.empty(0, kind), *(group[name].astype(kind) for group in groups)])
+        return table
+
     def to_pandas(self) -> pandas.DataFrame:
         """Return a row per run: of which group it is, the seed, whether safety stopped it, every quantity.
 
@@ -48,23 +56,14 @@ class ShownResult(ABC):
         Raises:
             HilError: if pandas is not installed.
         """
-        words, groups = self._runs()
-        table: dict[str, Any] = {name: np.repeat(each, [len(group["seed"]) for group in groups]) for name, each in words.items()}
-        for name, kind in {"seed": np.int64, "stopped": np.int64, **{q.name: np.float64 for q in self.quantities}}.items():
-            table[name] = np.concatenate([np.empty(0, kind), *(group[name].astype(kind) for group in groups)])
-        return data_frame(table, {q.name: q.unit for q in self.quantities})
+        return data_frame(self._columns(), {q.name: q.unit for q in self.quantities})
 
     def csv_text(self) -> str:
         """Return the same rows as CSV; a number that a run has not is empty."""
-        text = io.StringIO()
+        text, table = io.StringIO(), self._columns()
         writer = csv.writer(text, lineterminator="\n")
-        words, groups = self._runs()
-        names = [q.name for q in self.quantities]
-        writer.writerow([*words, "seed", "stopped", *names])
-        for number, group in enumerate(groups):
-            said = [each[number] for each in words.values()]
-            for seed, stopped, *values in zip(*(group[name].tolist() for name in ("seed", "stopped", *names))):
-                writer.writerow([*said, int(seed), int(stopped), *("" if v != v else repr(v) for v in values)])
+        writer.writerow(table)
+        writer.writerows(["" if v != v else v for v in row] for row in zip(*(column.tolist() for column in table.values())))
         return text.getvalue()
 
     def plot(

@@ -85,7 +85,7 @@ CALLS = count()
         ("of", lambda self, view: {"effort": np.ones((20, 9))}, r"effort is array.*, expected a number, or None"),
         ("title", 3, "title is 3, expected text"), ("note", False, "note is False, expected text"),
         ("quantities", lambda self, signals: (Quantity(name="effort", title="energy", unit=3),),
-         r"quantities\(signals\): 'effort': Expected `str`, got `int` - at `\$.unit`"),
+         r"quantities\(signals\) gave Quantity\(name='effort'.*: Expected `str`, got `int` - at `\$.unit`"),
         ("quantities", lambda self, signals: (), "a measure has at least one quantity"), ("title", None, "title"),
     ],
 )  # fmt: skip
