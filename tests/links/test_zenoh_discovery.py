@@ -78,11 +78,15 @@ def test_a_link_with_a_password_announces_nothing(tmp_path: Path) -> None:
         assert discover(endpoint, 0.5) == []
 
 
-def test_an_answer_of_another_form_is_no_rig(tmp_path: Path) -> None:
+@pytest.mark.parametrize("about", [
+    {"experiment": 7, "period_ns": "x"}, {"experiment": "x", "period_ns": 10**400}, {"experiment": "x", "period_ns": 0},
+])  # fmt: skip
+def test_an_answer_of_another_form_is_no_rig(about: dict[str, object]) -> None:
+    """A period of 400 digits ended `hil discover`: no float is so large."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with open_link(f"zenoh:{endpoint}", "rig") as rig:
         assert isinstance(rig, Discoverable)
-        rig.announce({"experiment": 7, "period_ns": "x"})
+        rig.announce({**about, "session": "s"})
         [found] = discover(endpoint, 30)
         assert found["alive"] == ["rig"] and found["info"] is None
 
