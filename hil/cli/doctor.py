@@ -49,12 +49,6 @@ def libm() -> str:
     return f"{name} {version}".strip() or "unknown"
 
 
-def cpu_text() -> str:
-    """Return all of it in one line."""
-    units = ", ".join(vector_units()) or "its baseline"
-    return f"{processor()}; numpy uses {units}; OpenBLAS {blas_kernel()}; {libm()}"
-
-
 Check = tuple[str, bool, str, str]  # what, fine, finding, remedy
 CLEARLY: Final = 0.7
 """One round trip takes so much less of another before anything is said of them: the machine may be busy."""
@@ -177,8 +171,10 @@ def _packages() -> Check:
     return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""
 
 
-def _machine() -> tuple[bool, str, str]:
-    return True, f"{cpu_text()}; runs in virtual time have the same bits on all kinds", ""
+def _machine() -> Check:
+    units = ", ".join(vector_units()) or "its baseline"
+    found = f"{processor()}; numpy uses {units}; OpenBLAS {blas_kernel()}; {libm()}"
+    return "kind of machine", True, f"{found}; runs in virtual time have the same bits on all kinds", ""
 
 
 def _loop() -> tuple[bool, str, str]:
@@ -192,12 +188,6 @@ def _who(uri: str | None) -> tuple[bool, str, str]:
 
     links = ("can:hil:rig0", "zenoh:") if uri is None else (uri,)
     return True, "; ".join(f"over {link} {traits_of(link).commanders}" for link in links), ""
-
-
-def _certificates_of(link: str) -> Certificates | None:
-    from transport.links.traits import traits_of
-
-    return traits_of(link).certificates
 
 
 def _certificates(shown: Certificates) -> tuple[bool, str, str]:
@@ -230,14 +220,15 @@ def _tool(program: str, package: str, why: str) -> Check:
 @json_option("Print one JSON list.")
 def command(link: str | None) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
+    from transport.links.traits import traits_of
 
     there = importlib.util.find_spec("zenoh") is not None
-    certificates = None if link is None else _certificates_of(link)
+    certificates = None if link is None else traits_of(link).certificates
     shown = [] if certificates is None else [_ours("certificates", partial(_certificates, certificates))]
     checks = [_ours("commands accepted from", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), ("hil vcan", *what_would_run()), _zenoh(),
               *([_ours("zenoh round trip", _zenoh_cpus)] if there else []), _scheduler(), _idle(), _clock(), _cpus(),
-              _ours("kind of machine", _machine), _ours("loop", _loop),
+              _machine(), _ours("loop", _loop),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     answer([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], show, checks)

@@ -275,9 +275,9 @@ def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:
 def number(value: object) -> str:
     """Return a value for people, with five digits; a dash where there is none.
 
-    >>> number(0.0034246648), number(True), number(None)
-    ('0.0034247', 'yes', '-')
+    >>> number(0.0034246648), number(3), number(None)
+    ('0.0034247', '3', '-')
     """
-    if isinstance(value, bool) or value is None:
-        return {True: "yes", False: "no", None: "-"}[value]
+    if value is None:
+        return "-"
     return f"{value:.5g}" if isinstance(value, float) else str(value)
