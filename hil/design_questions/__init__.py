@@ -11,6 +11,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import LinearLaw, LoopModel
@@ -101,12 +102,14 @@ def target_of(
     Raises:
         HilError: several sensor nodes, or a network that is no chain of delays.
     """
+    from hil.experiment.table import Seconds
     from hil.rig import rig_of
     from hil.rig.bus_delays import bus_chains
     from hil.rig.can_bus import can_bus_of
     from hil.rig.delay_chains import chains_of
 
-    rig = rig_of(experiment)
+    period = _checked(float(experiment.period) if period_s is None else period_s)
+    rig = rig_of(replace(experiment, period=Seconds(period)))  # by how many slots a latency is late depends on it
     if len(rig.sensors) > 1:
         raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
     with located(name, ValueError):
@@ -127,19 +130,22 @@ def target_of(
         shorter = True
     if shorter:
         left_out = "frames on the bus that are shorter than they can be let ages come in other orders, which hil run judges"
-    period = period_s if period_s is not None else float(experiment.period)
     return _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)._replace(left_out=left_out)
 
 
 def _target(plant: Plant, name: str, period: float, sc: DelayChain, ca: DelayChain) -> TrackingTarget:
-    if not (np.isfinite(period) and period > 0):
-        raise HilError(f"period: {period:g} s, expected a number > 0")
     try:
-        discrete = plant.model().discretise(float(period))
+        discrete = plant.model().discretise(_checked(period))
     except (AttributeError, NotImplementedError) as error:
         raise HilError(f"{name}: this plant has no linear model to design for ({error})") from None
     A, B, C = (np.asarray(M) for M in (discrete.A, discrete.B, discrete.C))
     return TrackingTarget(name, float(period), A, B, C, sc, ca, plant)
+
+
+def _checked(period: float) -> float:
+    if not (np.isfinite(period) and period > 0):
+        raise HilError(f"period: {period:g} s, expected a number > 0")
+    return float(period)
 
 
 def verdict_on(target: TrackingTarget, design: Design) -> Verdict:

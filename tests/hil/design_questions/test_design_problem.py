@@ -56,6 +56,15 @@ def test_latencies_without_a_bound_leave_a_design_undecided_as_they_leave_its_ru
     assert verdict.state == state and ("have no bound" in verdict.reason) == (not bound)
 
 
+def test_another_period_makes_other_ages_of_latencies() -> None:
+    """A latency of 45 ms is late by one slot of 50 ms, and by two of 25 ms, whose deadline is at 15 ms."""
+    law = {"network.sc.law": "{kind='packet', latency='45 ms'}", "network.sc.max_age": "3"}
+    experiment = load_experiment("dc-motor-packets", [f"{name}={value}" for name, value in law.items()])
+    assert [target_of(experiment, "slow", each).sc.max_delay for each in (None, 0.025)] == [1, 2]
+    with pytest.raises(HilError, match=r"period: nan s, expected a number > 0"):
+        target_of(experiment, "slow", float("nan"))
+
+
 def test_a_mixed_design_lies_between_the_pure_ones_in_both_norms() -> None:
     told: list[str] = []
     hinf, mixed, h2 = compromises(
