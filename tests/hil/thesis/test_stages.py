@@ -30,6 +30,7 @@ from design.semi_markov_loop.robust_feedback import Synthesis
 from design.tracking.synthesis import TrackingProblem
 from hil.pages import Bars, Histogram
 from hil.thesis import Stage
+from hil.thesis.chapter6_equations import distortion_norm
 from hil.thesis.chapter7_friction import loop_of
 from hil.thesis.chapter7_models import H2
 from hil.thesis.chapter7_runs import ideal
@@ -82,7 +83,7 @@ SMALLER: dict[str, Any] = {
     "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
     "chapter7_designs.GAINS": {("motor", "h2"): H2}, "chapter7_designs.BOUNDS": (0.5,),
-    "chapter6_wall.STAYS": ((1, 2), (2, 3), (1, 2)),
+    "chapter6_wall.STAYS": ((1, 2), (2, 3), (1, 2)), "chapter6_wall.distortion_norm": partial(distortion_norm, mixed=False),
     "chapter6_wall.safe_coupler": lambda: stiffest_coupler(range(5), period_s=0.05, damping_n_s_per_m=1.9857).coupler,
 }  # fmt: skip
 """What takes minutes with the numbers of `hil reproduce`: short runs, few problems, one start of a descent, no process."""
