@@ -190,6 +190,12 @@ def _who(uri: str | None) -> tuple[bool, str, str]:
     return True, "; ".join(f"over {link} {traits_of(link).commanders}" for link in links), ""
 
 
+def _certificates_of(link: str) -> Certificates | None:
+    from transport.links.traits import traits_of
+
+    return traits_of(link).certificates
+
+
 def _certificates(shown: Certificates) -> tuple[bool, str, str]:
     """Say until when the certificates of a link are valid, or what is wrong with those that are here."""
     from transport.links import TransportError
@@ -220,10 +226,9 @@ def _tool(program: str, package: str, why: str) -> Check:
 @json_option("Print one JSON list.")
 def command(link: str | None) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
-    from transport.links.traits import traits_of
 
     there = importlib.util.find_spec("zenoh") is not None
-    certificates = None if link is None else traits_of(link).certificates
+    certificates = None if link is None else _certificates_of(link)
     shown = [] if certificates is None else [_ours("certificates", partial(_certificates, certificates))]
     checks = [_ours("commands accepted from", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), ("hil vcan", *what_would_run()), _zenoh(),
