@@ -78,7 +78,7 @@ def robust_norms(
         Infeasible: the loop does not bear |Delta| <= 1; `value` is the margin, below 1.
     """
     c, low, alpha = _checked(structure, gains, M, N1, N2, initial)
-    _, square = _least_h2(c, low, alpha)
+    _, square = _search(low, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
     _, hinf = _search(low, lambda exponent, best: _hinf_bound(c, 10.0**exponent, best))
     return RobustNorms(float(np.sqrt(square)), hinf)
 
@@ -92,7 +92,8 @@ def robust_h2(
     Raises:
         Infeasible: as `robust_norms`.
     """
-    multiplier, square = _least_h2(*_checked(structure, gains, M, N1, N2, initial))
+    c, low, alpha = _checked(structure, gains, M, N1, N2, initial)
+    multiplier, square = _search(low, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
     return float(np.sqrt(square)), multiplier
 
 
@@ -110,10 +111,6 @@ def _checked(
     moved = MJLS(A=c.A, B=c.B, C=c.of_state, D=c.of_disturbance, transition=c.transition)
     centre = 2.0 * float(np.log10(h2_norm(system) / max(h2_norm(moved), 1e-150)))
     return c, centre - DECADES / 3.0, alpha
-
-
-def _least_h2(c: _Channel, low: float, alpha: Array) -> tuple[float, float]:
-    return _search(low, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
 
 
 def guaranteed_h2(

@@ -123,13 +123,8 @@ def target_of(
         raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
     if row_sojourns > 1 and on_bus:
         raise HilError(f"{name}: row_sojourns: {row_sojourns}, but stays over a CAN bus with time are not distinguished")
-    left_out = chains.neglects()
-    try:
-        shorter = on_bus and any(chain.open for chain in bus_chains(rig))
-    except NotKnown:
-        shorter = True
-    if shorter:
-        left_out = "frames on the bus that are shorter than they can be let ages come in other orders, which hil run judges"
+    shorter = "frames on the bus that are shorter than they can be, or of fewer rows, make other ages, over which hil run judges"
+    left_out = shorter if on_bus else chains.neglects()
     return _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)._replace(left_out=left_out)
 
 

@@ -6,7 +6,6 @@ chain in the region, also one that changes from slot to slot.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,13 +87,9 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
         except NotKnown as why:
             raise HilError(str(why)) from None
         return Measured(fit=fit, law=law, at=at._replace(max_age=min(OLDEST_DISTINGUISHED, chain.bound)))
-    return Measured(fit=fit, law=law, at=at._replace(max_age=max(_ages(law))))
-
-
-def _ages(law: NetworkLaw) -> Sequence[int]:
     if not isinstance(law, ChainLaw | SemiMarkovLaw):
         raise HilError(f"the law {law.kind!r} states no ages")
-    return law.mode_ages
+    return Measured(fit=fit, law=law, at=at._replace(max_age=max(law.mode_ages)))
 
 
 def over_network(target: TrackingTarget, sc: Measured, ca: Measured) -> TrackingTarget:

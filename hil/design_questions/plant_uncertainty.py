@@ -40,8 +40,6 @@ FAMILY = "one quadratic family per mode, over the ends of the intervals and all 
 GROWTH = "largest factor by which the family grows in a slot"
 GRID = {1: 33, 2: 13, 3: 7}
 """Points per parameter, by the number of parameters."""
-JOINED = 1e-3
-"""Share of the way from disturbance to z that counts in the units in which a set of plants is covered."""
 
 
 class Interval(NamedTuple):
@@ -154,8 +152,8 @@ def _felt(design: Design, most: Array) -> tuple[Array, Array]:
 
     An impulse at x_j moves state and input q by g_qj in the root mean square. Errors up to a of the entries make W v = a g v of
     an error v of the state. In the units v of rows and g v of columns, with the Perron vector v, the product of both norms (of
-    largest row sums) is the least that units can make it, and the same whatever the plant's own units are. A small share of the
-    way from the disturbance to z, as if it were closed, joins parts of the loop that do not move each other.
+    largest row sums) is the least that units can make it, and the same whatever the plant's own units are. A thousandth of
+    the way from the disturbance to z, as if it were closed, joins parts of the loop that do not move each other.
     """
     structure = design.problem.structure()
     A, B, C, _, transition = structure.system(design.gains).matrices
@@ -167,7 +165,7 @@ def _felt(design: Design, most: Array) -> tuple[Array, Array]:
     of_input, width = np.einsum("i,qijk,ijm,ikm->q", alpha, cost, B, B), len(most.T)
     of_input[n:width] += 1.0  # itself
     closed = np.outer(np.sqrt(of_input[:width]), np.sqrt(of_state[width:].sum(axis=0))) / np.sqrt(of_input[width:].sum() or 1.0)
-    moved = np.sqrt(of_state[:width]) + JOINED * closed
+    moved = np.sqrt(of_state[:width]) + 1e-3 * closed
     rates, vectors = np.linalg.eig(most @ moved)
     down = np.abs(vectors[:, rates.real.argmax()])
     across = moved @ down
@@ -258,8 +256,7 @@ def robust_design(
 
 
 def _radius(target: TrackingTarget, design: Design, change: Array) -> float:
-    n = len(target.A)
-    A, B = target.A + change[:, :n], target.B + change[:, n:]
+    A, B = np.split(np.hstack([target.A, target.B]) + change, [len(target.A)], axis=1)
     return float(dataclasses.replace(design.problem, A=A, B=B).structure().system(design.gains).radius())
 
 

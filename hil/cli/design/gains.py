@@ -160,16 +160,12 @@ def _show(design: Design, document: dict[str, Any], unit: str) -> None:
             lines.append(("guaranteed H2 norm", f"{found['h2_norm']:.6g}", ""))
             lines.append(("guaranteed H-infinity", f"{found['hinf_norm']:.6g}", ""))
     if "network" in document:
-        lines += network_lines(document["network"])
+        said = document["network"]
+        lines += [(f"network, {way}", said[way]["class"], f"{said[way]['packets']} packets") for way in ("sc", "ca")]
+        lines.append(("over all it leaves", said["region"]["state"], said["region"]["reason"]))
     if "file" in document:
         lines.append(("written", visible(document["file"]), ""))
     print_facts(lines)
-
-
-def network_lines(said: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return what a document says of the measured network, line by line: name, value, remark."""
-    lines = [(f"network, {way}", said[way]["class"], f"{said[way]['packets']} packets") for way in ("sc", "ca")]
-    return [*lines, ("over all it leaves", said["region"]["state"], said["region"]["reason"])]
 
 
 def answer_trade_off(subject: str, path: Path | None, **shape: Any) -> None:
