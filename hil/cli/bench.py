@@ -182,8 +182,8 @@ def probe(
 
     from hil.bench.probe import answer, answering, probe, write_probe_log
     from hil.files import check_output
+    from hil.rig.session_link import opened
     from hil.session.finished import INTRUSIONS
-    from transport.links.opening import open_link
     from transport.links.traits import traits_of
     from transport.links.zenoh_refusals import standard_output_is_free
 
@@ -193,7 +193,7 @@ def probe(
         raise HilError(f"link {link!r}: lies within one process; expected a link between two, such as can:hil:rig0")
     if answers:
         standard_output_is_free()
-        with open_link(link, "controller") as end:
+        with opened(link, "controller") as end:
             print(f"hil: answering on {link}; Ctrl-C ends it", file=sys.stderr)
             answer(end)
     if rate * seconds > MOST_FRAMES:
@@ -201,7 +201,7 @@ def probe(
     path = output or Path("link.mcap")
     check_output(path, "a log", ".mcap", force=force)
     standard_output_is_free()
-    with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
+    with answering(link) if both else nullcontext(), opened(link, "rig") as end, Working(link) as watch:
         trips, one_clock, again = probe(end, rate, seconds, watch.counted)
     write_probe_log(path, link, rate, trips, one_clock)
     came = sorted((t.received_ns - t.sent_ns) / 1e6 for t in trips if t.received_ns)

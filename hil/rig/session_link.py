@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 from warnings import catch_warnings
 
@@ -10,11 +12,11 @@ from msgspec import Struct
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS
-from hil.plugins.user_plugins import words
+from hil.plugins.user_plugins import user_failure
 from hil.rig import RigSpec
 from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_rows, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
-from transport.links import TransportError
+from transport.links import Link, Role, TransportError
 from transport.links.can_identifiers import Identifiers, identifiers_text
 from transport.links.traits import CanFraming, LinkTraits, identifiers_on, traits_of, with_options
 
@@ -120,6 +122,32 @@ def refuse_undisturbed(e: Experiment, rig: RigSpec, link: SessionLink) -> None:
         raise ExperimentError(e.name, faults)
 
 
+@contextmanager
+def opened(uri: str, role: Role) -> Iterator[Link]:
+    """Open one end of a link, and close it; what one of the user's own raises meanwhile is a message, SystemExit too.
+
+    Args:
+        uri, role: as of `transport.open_link`.
+
+    Raises:
+        HilError: it raised; with its own words.
+        TransportError: it cannot be opened.
+    """
+    from transport.links.opening import open_link  # of real time
+
+    link = open_link(uri, role)
+    try:
+        with link as end:
+            yield end
+    except HilError:
+        raise
+    except (Exception, SystemExit) as error:
+        said = user_failure(error, (link,))
+        if said is None:
+            raise
+        raise HilError(f"link {uri!r}: {said}") from error
+
+
 def refuse_unopened(link: SessionLink, *, external: bool = False) -> None:
     """Open both ends of a link and close them: what cannot be is said before anything starts.
 
@@ -136,15 +164,11 @@ def refuse_unopened(link: SessionLink, *, external: bool = False) -> None:
         raise HilError(f"link {link.uri!r}: lies within one process; expected a link between two, such as can:hil:rig0")
     if external or link.traits.in_process:
         return
-    from transport.links.opening import open_link  # of real time
-
     try:
-        with catch_warnings(action="ignore"), open_link(link.uri, "rig"), open_link(link.uri, "controller"):
+        with catch_warnings(action="ignore"), opened(link.uri, "rig"), opened(link.uri, "controller"):
             pass
     except TransportError as error:
         raise HilError(str(error)) from error
-    except (Exception, SystemExit) as error:  # of a link of the user's own, as it is closed
-        raise HilError(f"link {link.uri!r}: {words(error)}") from error
 
 
 def link_faults(e: Experiment, rig: RigSpec, link: SessionLink) -> list[BusFault]:

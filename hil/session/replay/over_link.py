@@ -24,7 +24,7 @@ from hil.log.run import Run
 from hil.log.topics import CONTROL, FRAME_TOPICS, SENSOR
 from hil.measure.summary import percentiles
 from hil.rig import rig_of
-from hil.rig.session_link import link_of
+from hil.rig.session_link import link_of, opened
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.nodes import Wire, before
 from hil.runtime.real.ending import useless_frames
@@ -33,7 +33,6 @@ from hil.session.replay import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
 from hil.session.replay.replay import experiment_of
 from transport.links import Link
-from transport.links.opening import open_link
 from transport.packets import ControlPacket, decode
 
 MAY_DIFFER: Final = ("control_ns", "counter")
@@ -105,7 +104,7 @@ def ask_process(
     uri = _with_nodes(run, uri, source)
     compared = different = 0
     found: list[Difference] = []
-    with open_link(uri, "rig") as link:
+    with opened(uri, "rig") as link:
         begun = Wire(nonce=wire.nonce, hello=before(wire.nonce(0)))
         result = Handshake(link, start_s, lambda: False, monotonic_ns, begun).greet()
         if not result.answered:
@@ -193,7 +192,7 @@ def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None])
         raise HilError("the log has no frames to play")
     errors = AppendColumn(np.float64)
     uri = _with_nodes(run, uri, "the log")
-    with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
+    with opened(uri, "rig") as rig, opened(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)
         found: list[float] = []

@@ -61,7 +61,7 @@ class Program(Closing):
 
 
 def asked(run: Run, program: Program, monkeypatch: pytest.MonkeyPatch) -> over_link.AnswerComparison:
-    monkeypatch.setattr(over_link, "open_link", lambda uri, role: program)
+    monkeypatch.setattr(over_link, "opened", lambda uri, role: program)
     monkeypatch.setattr(over_link, "monotonic_ns", lambda: program.now_ns)
     greeting = SimpleNamespace(greet=lambda: SimpleNamespace(answered=True))
     monkeypatch.setattr(over_link, "Handshake", lambda *given: greeting)
