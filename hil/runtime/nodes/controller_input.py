@@ -65,7 +65,10 @@ def controller_input(loop: Loop) -> NewestSample | EverySample:
 
 
 def in_tuples(running: Running) -> Callable[..., Rows]:
-    """Return the `rows` of a control law; of a stranger, who may return lists, in tuples: compiled, a loop takes no other."""
+    """Return the `rows` of a control law, in tuples where it is the user's own and may return lists.
+
+    Compiled, a loop takes nothing else.
+    """
     rows: Callable[..., Sequence[Sequence[float]]] = running.rows
     return running.rows if is_ours(running) else lambda *known: tuple(map(tuple, rows(*known)))
 
