@@ -56,6 +56,7 @@ LIES: dict[str, Callable[[Process], Any]] = {
     "always late": lambda run: 2,
     "a period": lambda run: run.k % 3,
     "another age": lambda run: (run.mode, 2),
+    "a mode below 0": lambda run: (-1, 2),
     "from fresh to oldest": lambda run: 2 if run.mode == 1 else 0,
     "rarely fresh": lambda run: 1 + int(run.rng.random() < 0.2),
 }

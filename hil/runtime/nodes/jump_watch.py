@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hil.rig.loop import CANCELS, EQUAL, LARGEST, JumpStep
 from hil.runtime.nodes.plant_watch import ANOTHER, MOST_KEPT, Blocks, Result, at_once
 from plants.parts.protocols import PlantRun
-from transport.draws import Draw
+from transport.draws import ABSENT, DELIVERED, DISORDERED, NONE_YET, REPEATED, Draw
 from transport.law_tests import law_p_value
 from transport.laws import ChainLaw, InitialLaw, NetworkLaw, SemiMarkovLaw
 
@@ -33,6 +33,8 @@ One run in 1e9 of a plant or law that is as stated loses its certificate.
 """
 SUSPECT: Final = 1e-3
 """The same probability for slots that are compared many at once: below it, every slot is compared."""
+OF_A_LAW: Final = {ABSENT, DELIVERED, DISORDERED, NONE_YET, REPEATED}
+"""What is decided in a slot for whose packet the law was asked."""
 FEW: Final = 3
 """Slots that may miss in any run, whatever the rates."""
 STRIDE: Final = 32
@@ -218,6 +220,8 @@ class LawWatch:
 
     def take(self, draws: Sequence[Draw]) -> None:
         """Take what was decided in a slot."""
+        if self._other is None and not any(draw.mode >= 0 for draw in draws) and any(draw.reason in OF_A_LAW for draw in draws):
+            self._other = len(self._modes), "a mode below 0"
         for draw in draws:
             mode = draw.mode
             if mode >= 0:
