@@ -9,7 +9,7 @@ import os
 import sys
 from contextlib import suppress
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -158,6 +158,11 @@ def guarded_main() -> Any:
         guard.end(status)
 
 
+def _say_interrupted(interrupt: KeyboardInterrupt) -> NoReturn:
+    print("\nhil: interrupted", file=sys.stderr)
+    sys.exit(exit_status(interrupt))
+
+
 def main(args: list[str] | None = None) -> Any:
     """Run the command line; turn errors of the user into a message and status 2."""
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
@@ -178,8 +183,7 @@ def main(args: list[str] | None = None) -> Any:
             plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"  # of bold, too
             return cli.main(args, prog_name="hil", standalone_mode=True, color=False if plain else None)
     except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
-        print("\nhil: interrupted", file=sys.stderr)
-        sys.exit(exit_status(e))
+        _say_interrupted(e)
     except OSError as e:
         status = 2
         if e.errno in (errno.EMFILE, errno.ENFILE):
@@ -198,6 +202,8 @@ def main(args: list[str] | None = None) -> Any:
         print("hil: the machine has too little memory for this; the command and its files are correct", file=sys.stderr)
         sys.exit(1)
     except ImportError as e:  # where memory or the disk fails under a library; numpy puts a page of advice before the reason
+        if isinstance(e.__cause__, KeyboardInterrupt):  # it came while a library in C began
+            _say_interrupted(e.__cause__)
         print(f"hil: a library cannot be loaded: {(str(e).strip() or repr(e)).splitlines()[-1]}", file=sys.stderr)
         sys.exit(1)
     except Exception as e:

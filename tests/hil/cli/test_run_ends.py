@@ -204,10 +204,14 @@ def test_a_fault_of_the_machine_is_one_line(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "hil: a library cannot be loaded: libx.so: failed to map segment\n")
 
 
-def test_an_interrupt_behind_the_last_line_of_a_command_is_one_line(monkeypatch: pytest.MonkeyPatch, cli: Hil) -> None:
+@pytest.mark.parametrize("in_a_library", [False, True])
+def test_an_interrupt_outside_a_command_is_one_line(in_a_library: bool, monkeypatch: pytest.MonkeyPatch, cli: Hil) -> None:
+    """One comes behind its last line, or while a library in C begins: pybind11 raises an ImportError of it."""
     from hil.cli import cli as group
 
     def late(*_: object, **__: object) -> None:
+        if in_a_library:
+            raise ImportError("initialization failed") from KeyboardInterrupt()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(group, "main", late)
