@@ -55,6 +55,7 @@ def analyse(
     message may miss its deadline.
     """
     from hil.files import check_page
+    from hil.files.can_logs import CAN_LOG_ENDINGS
     from hil.pages.designs import bus_page
     from transport.can_analysis import ErrorBursts
 
@@ -62,7 +63,7 @@ def analyse(
     if errors is None and error_interval is not None:
         raise HilError("--error-interval: only with --errors, how many may come at once")
     bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round((error_interval or 1.0) * 1e9))
-    if target.endswith((".log", ".asc", ".blf")):
+    if target.endswith(CAN_LOG_ENDINGS):
         raise HilError(f"{target}: recorded frames have no period, and no bound follows from them; expected a .csv or .dbc")
     if target.endswith(_TRAFFIC):
         if sets:

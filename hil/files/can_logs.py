@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import can
 
 
+CAN_LOG_ENDINGS: Final = (".log", ".asc", ".blf")
 LONGEST_LINE: Final = 4096
 LARGEST: Final = 1 << 24
 """Bytes of an object of a BLF file, packed or not; Vector's programs gather 128 kB in one."""
@@ -42,7 +43,7 @@ def can_frames(path: Path) -> Iterator[can.Message]:
     """
     from transport.links.python_can import can
 
-    if path.suffix not in (".log", ".asc", ".blf"):
+    if path.suffix not in CAN_LOG_ENDINGS:
         raise HilError(f"{path}: the ending {path.suffix!r} names no CAN log, expected .log, .asc or .blf (see `hil export`)")
     try:
         with open_regular(path, "a CAN log") as file:

@@ -19,6 +19,7 @@ from hil.experiment.table import Seconds
 from hil.experiment.table_check import fault_at
 from hil.experiment.tables import Experiment
 from hil.files import open_regular
+from hil.files.can_logs import CAN_LOG_ENDINGS, can_frames
 from transport.can_bus_model import CanFrame
 from transport.errors import FieldError
 from transport.laws import NetworkLaw, load_files, slots_served
@@ -77,7 +78,7 @@ def with_traffic_files(e: Experiment) -> Experiment:
 
         path = Path(e.folder) / medium.traffic_file
         try:
-            if path.suffix in RECORDINGS:
+            if path.suffix in CAN_LOG_ENDINGS:
                 media[name] = replace(medium, recorded=(*medium.recorded, *read_recorded(path)), traffic_file="")
             else:
                 media[name] = replace(medium, traffic=(*medium.traffic, *read_traffic(path)[0]), traffic_file="")
@@ -188,7 +189,6 @@ def _of_dbc(path: Path, text: str) -> tuple[tuple[TrafficTable, ...], tuple[str,
 
 
 MOST: Final = 100_000
-RECORDINGS: Final = (".log", ".asc", ".blf")
 _LINE: Final = r"(\d{1,18}) ([0-9A-F]{3}|[0-9A-F]{8})(#R([0-8]?)|##([0-3])([0-9A-F]*)|#([0-9A-F]*))"
 
 
@@ -209,13 +209,11 @@ def read_recorded(path: Path) -> list[str]:
     """Return the frames of a recording as lines of an experiment, from time 0 on.
 
     Args:
-        path: ends in one of `RECORDINGS`.
+        path: ends in one of `CAN_LOG_ENDINGS`.
 
     Raises:
         HilError: it cannot be read, has no frame, or no time stamps.
     """
-    from hil.files.can_logs import can_frames  # python-can is imported for a recording alone
-
     found: list[tuple[float, CanFrame]] = []
     for i, message in enumerate(can_frames(path)):
         if message.is_error_frame:

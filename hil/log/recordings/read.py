@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import HilError
-from hil.files.can_logs import can_frames
+from hil.files.can_logs import CAN_LOG_ENDINGS, can_frames
 from hil.log.read import read_run
 from hil.log.recordings import BACK, THERE, Recording, Way
 from hil.log.recordings.packet_files import LATEST_S, MOST_FRAMES, read_captured_frames, read_latencies, read_ping_capture
@@ -18,8 +18,7 @@ from hil.log.run import Run, StructuredArray
 from hil.log.topics import CA, PROBE, SC
 from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
 
-CAN_ENDINGS = (".log", ".asc", ".blf")
-ENDINGS = (".mcap", ".csv", *CAN_ENDINGS, ".pcap")
+ENDINGS = (".mcap", ".csv", *CAN_LOG_ENDINGS, ".pcap")
 
 
 def shipped_recordings() -> dict[str, Path]:
@@ -46,9 +45,9 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
     for path in paths:
         if path.suffix.lower() not in ENDINGS:
             raise HilError(f"{path}: the ending {path.suffix!r} names no record of packets, expected one of {', '.join(ENDINGS)}")
-    if can_id is not None and not endings <= set(CAN_ENDINGS):
-        raise HilError(f"{said}: --can-id: belongs to CAN logs ({', '.join(CAN_ENDINGS)})")
-    if endings <= set(CAN_ENDINGS):
+    if can_id is not None and not endings <= set(CAN_LOG_ENDINGS):
+        raise HilError(f"{said}: --can-id: belongs to CAN logs ({', '.join(CAN_LOG_ENDINGS)})")
+    if endings <= set(CAN_LOG_ENDINGS):
         if len(paths) != 2:
             raise HilError(
                 f"{said}: a CAN log has no latencies by itself; expected two of one bus: the sender's, then the receiver's"
