@@ -182,15 +182,14 @@ def probe(
 
     from hil.bench.probe import answer, answering, probe, write_probe_log
     from hil.files import check_output
-    from hil.rig.session_link import opened
+    from hil.rig.session_link import opened, refuse_one_process
     from hil.session.finished import INTRUSIONS
     from transport.links.traits import traits_of
     from transport.links.zenoh_refusals import standard_output_is_free
 
     if answers and (both or output is not None):
         raise HilError("--answer: the other end measures nothing; expected no --both and no -o")
-    if traits_of(link).one_process:
-        raise HilError(f"link {link!r}: lies within one process; expected a link between two, such as can:hil:rig0")
+    refuse_one_process(link, traits_of(link))
     if answers:
         standard_output_is_free()
         with opened(link, "controller") as end:

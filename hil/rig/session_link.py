@@ -148,6 +148,16 @@ def opened(uri: str, role: Role) -> Iterator[Link]:
         raise HilError(f"link {uri!r}: {said}") from error
 
 
+def refuse_one_process(uri: str, traits: LinkTraits) -> None:
+    """Refuse a link that lies within one process, where two are to be joined.
+
+    Raises:
+        HilError: it does.
+    """
+    if traits.one_process:
+        raise HilError(f"link {uri!r}: lies within one process; expected a link between two, such as can:hil:rig0")
+
+
 def refuse_unopened(link: SessionLink, *, external: bool = False) -> None:
     """Open both ends of a link and close them: what cannot be is said before anything starts.
 
@@ -160,8 +170,8 @@ def refuse_unopened(link: SessionLink, *, external: bool = False) -> None:
     Raises:
         HilError: the link lies within one process, or an end cannot be opened or closed; with the link's own words.
     """
-    if link.traits.one_process and (external or not link.traits.in_process):
-        raise HilError(f"link {link.uri!r}: lies within one process; expected a link between two, such as can:hil:rig0")
+    if external or not link.traits.in_process:
+        refuse_one_process(link.uri, link.traits)
     if external or link.traits.in_process:
         return
     try:
