@@ -9,7 +9,7 @@ import os
 import sys
 from contextlib import suppress
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
@@ -99,13 +99,8 @@ class LazyGroup(click.Group):
                 if sys.stdout is not None:  # `hil ... >&-`
                     sys.stdout.flush()  # here, where its faults can be reported
         except (KeyboardInterrupt, RuntimeError) as e:
-            at: BaseException | None = e  # Python 3.11 makes a RuntimeError of what comes while a class is made
-            while at is not None and not isinstance(at, KeyboardInterrupt):
-                at = at.__cause__
-            if at is None:
-                raise
-            print("\nhil: interrupted", file=sys.stderr)
-            sys.exit(exit_status(at))
+            _end_if_interrupted(e)
+            raise
         except click.exceptions.NoArgsIsHelpError:
             raise
         except click.UsageError as e:
@@ -158,9 +153,17 @@ def guarded_main() -> Any:
         guard.end(status)
 
 
-def _say_interrupted(interrupt: KeyboardInterrupt) -> NoReturn:
-    print("\nhil: interrupted", file=sys.stderr)
-    sys.exit(exit_status(interrupt))
+def _end_if_interrupted(error: BaseException) -> None:
+    """End the process where an interrupt is what an error comes of.
+
+    Python 3.11 makes a RuntimeError of one that comes while a class is made, pybind11 an ImportError while a library in C begins.
+    """
+    at: BaseException | None = error
+    while at is not None and not isinstance(at, KeyboardInterrupt):
+        at = at.__cause__
+    if at is not None:
+        print("\nhil: interrupted", file=sys.stderr)
+        sys.exit(exit_status(at))
 
 
 def main(args: list[str] | None = None) -> Any:
@@ -183,7 +186,7 @@ def main(args: list[str] | None = None) -> Any:
             plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"  # of bold, too
             return cli.main(args, prog_name="hil", standalone_mode=True, color=False if plain else None)
     except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
-        _say_interrupted(e)
+        _end_if_interrupted(e)
     except OSError as e:
         status = 2
         if e.errno in (errno.EMFILE, errno.ENFILE):
@@ -202,8 +205,7 @@ def main(args: list[str] | None = None) -> Any:
         print("hil: the machine has too little memory for this; the command and its files are correct", file=sys.stderr)
         sys.exit(1)
     except ImportError as e:  # where memory or the disk fails under a library; numpy puts a page of advice before the reason
-        if isinstance(e.__cause__, KeyboardInterrupt):  # it came while a library in C began
-            _say_interrupted(e.__cause__)
+        _end_if_interrupted(e)
         print(f"hil: a library cannot be loaded: {(str(e).strip() or repr(e)).splitlines()[-1]}", file=sys.stderr)
         sys.exit(1)
     except Exception as e:
