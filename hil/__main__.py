@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 def main() -> Any:
     """Entry point of the console command ``hil``."""
     try:
+        for stream in (sys.stdin, sys.stdout, sys.stderr):
+            if stream is None:  # `>&-`: a log or a socket of ours would take its place, and what a plant prints go there
+                os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+        sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8")
         if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
             # CPython keeps what it could write of a module's bytecode (ulimit -f), and no later import gets over it.
             sys.dont_write_bytecode = True

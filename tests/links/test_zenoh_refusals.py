@@ -23,12 +23,13 @@ from transport.links.contract import control, sensor
 from transport.links.zenoh_link import config
 
 RIG = """
-import sys
+import os, sys
 from transport.links.zenoh_refusals import standard_output_is_free
 standard_output_is_free()
 from transport import Link, open_link
 from transport.links.contract import sensor
 with open_link(sys.argv[1], "rig") as rig:
+    assert os.get_inheritable(1), "what a control law starts has a standard output"
     for line in sys.stdin:
         rig.send(sensor(1))
         print(getattr(rig.counters, sys.argv[2]), file=sys.stderr, flush=True)

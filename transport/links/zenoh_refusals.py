@@ -126,8 +126,9 @@ def count_into(counters: LinkCounters) -> None:
     ours, theirs = os.pipe()
     with suppress(OSError):  # a user's pipes may be as large as they may be: it stays as it is, and a flood waits more often
         fcntl.fcntl(theirs, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-    sys.stdout.flush()
-    os.dup2(theirs, 1, inheritable=False)
+    if sys.stdout is not None:  # closed by who started this process
+        sys.stdout.flush()
+    os.dup2(theirs, 1)  # a program that a control law starts has a standard output, too
     os.close(theirs)
     sys.stdout = sys.stderr
     os.environ["RUST_LOG"] = _SAYS  # zenoh prefers it to what it is given

@@ -84,6 +84,14 @@ def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path
     assert read_run(tmp_path / "a.mcap").events[-1]["kind"] == "outcome"
 
 
+def test_what_prints_where_no_stream_is_open_writes_into_no_file(tmp_path: Path) -> None:
+    """Without `hil`'s standard streams, which who started it has closed, the log would be one of them."""
+    words = prepared(tmp_path, "os.write(1, b'words')")[:-1]  # --json would be refused
+    command = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", sys.executable, "-m", "hil", *words]
+    assert subprocess.run(command, cwd=tmp_path).returncode == 0
+    assert read_run(tmp_path / "a.mcap").events[-1]["kind"] == "outcome" and b"words" not in (tmp_path / "a.mcap").read_bytes()
+
+
 STOPPED = """
 import os, signal, time
 os.kill(os.getppid(), signal.SIGTERM)
