@@ -1,6 +1,7 @@
 """Raw TOML to a checked experiment: table by table, plug-in by plug-in, so that no fault hides another.
 
-A network law may stand in a file of its own, as `hil identify law` writes one: ``law = { file = "law.toml" }``.
+A network law may stand in a file of its own, as `hil identify law` writes one: ``law = { file = "law.toml" }``. Keys beside
+``file`` replace those of the file: ``law = { file = "law.toml", loss = 0.1 }``, or ``--set network.sc.law.loss=0.1``.
 """
 
 from __future__ import annotations
@@ -114,8 +115,8 @@ class Checker:
         if group != "hil.laws":
             return self.plugin(group, raw, path)
         with self._kept(path, ValueError):
-            if isinstance(raw, dict) and raw.keys() == {"file"} and self._folder is not None:
-                raw = read_law_file(raw["file"], self._folder)
+            if isinstance(raw, dict) and "file" in raw and "kind" not in raw and self._folder is not None:
+                raw = read_law_file(raw["file"], self._folder) | {key: value for key, value in raw.items() if key != "file"}
             return load_files(self.plugin(group, raw, path), self._folder or ".")
         return None
 

@@ -30,7 +30,7 @@ def _table(description: str, required: str, **properties: dict[str, str]) -> dic
 TEXT: Final = {"type": "string"}
 CLOSED: Final = {"additionalProperties": False}
 OWN: Final = _table("module:Class of a Python file beside the experiment.", "kind", kind=TEXT | {"pattern": ":"})
-LAW_FILE: Final = _table("A file of a network law, as `hil identify law` writes one.", "file", file=TEXT) | CLOSED
+LAW_FILE: Final = _table("A file of a network law, as `hil identify law` writes one, keys in place of its.", "file", file=TEXT)
 ARRAY: Final = "The array of a file: .npz, .npy, .csv or .mat; key is its name in an .npz or .mat file."
 FILE: Final = _table(ARRAY, "file", file=TEXT, key=TEXT) | CLOSED
 
@@ -88,7 +88,7 @@ def _schema(plugins: Mapping[str, Mapping[str, type | None]]) -> dict[str, Any]:
     experiment["properties"]["plant"] |= variants("hil.plants")
     experiment["properties"]["controller"] |= variants("hil.controllers")
     laws = variants("hil.laws")
-    laws["oneOf"].append(LAW_FILE)
+    laws["oneOf"].append(LAW_FILE | {"not": {"required": ["kind"]}})
     direction["properties"]["law"] |= laws
     direction["required"] = ["law"]
     node["properties"]["law"] |= laws

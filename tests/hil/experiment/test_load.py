@@ -29,6 +29,7 @@ from hil.rig.named_files import with_law_files
 from tests.warm_hil import hil_command
 from transport.laws.age import ConstantAge
 from transport.laws.latency import latency
+from transport.laws.packet import PacketLaw
 
 GOOD = shipped()["dc-motor-hinf"].read_text().replace("[limits]", '[links]\nuri = "can:hil:rig0"\n\n[limits]')
 MARKOV = 'sc.law = { kind = "markov", matrix = [[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'
@@ -258,6 +259,16 @@ def test_a_file_of_a_change_is_that_of_the_working_folder(tmp_path: Path, monkey
     change = "network.media.bus={kind='can', bitrate=500000, nodes=['motor'], control=true, traffic_file='car.csv'}"
     bus = load_experiment("dc-motor-busy-can", [change]).network.media["bus"]
     assert bus.traffic_file == str(tmp_path / "car.csv")
+
+
+def test_a_key_of_a_law_from_a_file_can_be_changed(tmp_path: Path) -> None:
+    """A sweep over the loss of a measured law ended with `network.sc.law.kind: missing`."""
+    (tmp_path / "law.toml").write_text("kind = 'packet'\nlatency = '3 ms'\nloss = 0.1\n[fit]\npackets = 2000\n")
+    (tmp_path / "x.toml").write_text(law('{ file = "law.toml" }\nsc.max_age = 2'))
+    changed = load_experiment(tmp_path / "x.toml", ["network.sc.law.loss=0.25"]).network.sc.law
+    assert changed == PacketLaw(latency="3 ms", loss=0.25)
+    with pytest.raises(ExperimentError, match=r"network\.sc\.law\.los: unknown field"):
+        load_experiment(tmp_path / "x.toml", ["network.sc.law.los=0.25"])
 
 
 def test_set_changes_fields_tables_and_list_entries() -> None:
