@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import OUTPUT, Duration, Questions
+from hil.cli.option_types import OUTPUT, PATH, Duration, NamedPath, Questions
 from hil.cli.page_text import show_page
 from hil.cli.terminal import json_option, visible
 from hil.errors import HilError, located
@@ -162,8 +162,8 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
 @click.argument("experiment", type=EXPERIMENT, required=False)
 @click.option("--link", metavar="URI", help="Framing and base of another link than EXPERIMENT's own.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
-@click.option("--c", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Write a C codec here: hilrig.h, hilrig.c.")
-@click.option("--decode", "log", type=click.Path(path_type=Path), metavar="FILE", help="Decode a CAN log: .log, .asc or .blf.")
+@click.option("--c", "folder", type=PATH, metavar="DIR", help="Write a C codec here: hilrig.h, hilrig.c.")
+@click.option("--decode", "log", type=PATH, metavar="FILE", help="Decode a CAN log: .log, .asc or .blf.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 def dbc(
     experiment: str | None, link: str | None, sets: tuple[str, ...], folder: Path | None, log: Path | None, force: bool
@@ -278,9 +278,9 @@ def database_of(text: str) -> Any:
               help="This kernel's vcan, our user-mode kernel, or Debian's package of one.")  # fmt: skip
 @click.option("--virtual-time", is_flag=True, help="The clock jumps to the next timer when all sleep (uml only).")
 @click.option("--timeout", type=Duration(above=True), help="End COMMAND after that time, such as 90s.")
-@click.option("--rw", multiple=True, metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path),
+@click.option("--rw", multiple=True, metavar="DIR", type=NamedPath(exists=True, file_okay=False, path_type=Path),
               help="One more directory in which files stay.")  # fmt: skip
-@click.option("--source", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
+@click.option("--source", metavar="FILE", type=NamedPath(dir_okay=False, path_type=Path),
               help="Archive linux-6.12*.tar.xz to build the kernel from, in place of Debian's package.")  # fmt: skip
 @click.option("--install", is_flag=True, help="Install the Debian packages that a build lacks (as root).")
 @click.option("-v", "--verbose", is_flag=True, help="Say which kernel is used.")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.option_types import PATH
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option, print_folded, print_written
 from hil.errors import HilError, unknown_name
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 @click.option("--duration", metavar="S", help="Length of a run: 10, 10s, 2min.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of all of them.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Write a page with the distributions.")
+@click.option("-o", "--output", type=PATH, metavar="PAGE.html", help="Write a page with the distributions.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def compare(

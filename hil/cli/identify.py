@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.laws import files_of
-from hil.cli.option_types import OUTPUT, Duration, Questions, Within
+from hil.cli.option_types import OUTPUT, PATH, Duration, Questions, Within
 from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded, print_written
 from hil.errors import HilError, located
 
@@ -44,7 +44,7 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 
 
 @click.command()
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PATH)
 @click.option("--period", type=Duration(above=True), help="Length of a slot [the time between two packets].")
 @click.option("--deadline", type=Within(0.0, 1.0, min_open=True, max_open=True), default=0.6, show_default=True,
               help="When a slot closes, as a share of it.")  # fmt: skip
@@ -158,7 +158,7 @@ command.add_command(law)
 
 
 @command.command()
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=PATH)
 @click.option("--plant", "kind", type=click.Choice(["omni", "dc-motor"]), help="Axis [the plant of the log].")
 @click.option("--input", "u_name", metavar="NAME", help="Signal that drives the axis [the plant's].")
 @click.option("--measured", "y_name", metavar="NAME", help="Signal that is measured [the plant's].")
@@ -266,7 +266,7 @@ def _print(said: dict[str, Any], units: Mapping[str, str]) -> None:
 
 
 @command.command()
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=PATH)
 @click.option("--edge", "edges", multiple=True, type=Duration(above=True),
               help="Sojourn at which the rate may change, such as 0.3s; repeatable.")  # fmt: skip
 @click.option("--fault", default="fault_mode", show_default=True, metavar="NAME", help="State that is the true mode.")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.option_types import PATH
 from hil.cli.terminal import Working, answer, json_option, print_each_folded, print_folded, print_written, visible
 from hil.errors import HilError
 
@@ -24,13 +25,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=click.Path())
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Page to write, FILE.html by default.")
-@click.option("--figures", type=click.Path(path_type=Path), metavar="DIR", help="Also write every plot as SVG and PDF.")
-@click.option("--folder", type=click.Path(path_type=Path), metavar="DIR", help="Folder of own modules, which are run.")
+@click.argument("file", type=PATH)
+@click.option("-o", "--output", type=PATH, metavar="PAGE.html", help="Page to write, FILE.html by default.")
+@click.option("--figures", type=PATH, metavar="DIR", help="Also write every plot as SVG and PDF.")
+@click.option("--folder", type=PATH, metavar="DIR", help="Folder of own modules, which are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
-def report(file: str, output: Path | None, figures: Path | None, folder: Path | None, show: bool, force: bool) -> None:
+def report(file: Path, output: Path | None, figures: Path | None, folder: Path | None, show: bool, force: bool) -> None:
     """Make one self-contained HTML page from the log FILE: it needs no network and no other file.
 
     Where FILE is a folder, its page (index.html) lists all its logs, with a filter and their outputs, or those of the folders
@@ -41,12 +42,10 @@ def report(file: str, output: Path | None, figures: Path | None, folder: Path | 
     """
     from hil.api.face import report
 
-    if not file:
-        raise HilError("FILE: the name is empty; is a variable of the shell not set? `hil report .` is this folder")
     with Working(f"page of {file}") if folder is None else nullcontext():  # own modules are watched from a fork: one thread
         page, *drawn = report(file, output=output, force=force, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")
-    if drawn and Path(file).is_dir():
+    if drawn and file.is_dir():
         click.echo(f"written: {len(drawn)} page{'s' * (len(drawn) != 1)} of runs beside it")
     if figures is not None:
         click.echo(f"written: {len(drawn) // 2} figures, as SVG and PDF, in {visible(figures)}")
@@ -55,8 +54,8 @@ def report(file: str, output: Path | None, figures: Path | None, folder: Path | 
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="LOG.mcap", help="File to write [FILE.recovered.mcap].")
+@click.argument("file", type=PATH)
+@click.option("-o", "--output", type=PATH, metavar="LOG.mcap", help="File to write [FILE.recovered.mcap].")
 def recover(file: Path, output: Path | None) -> None:
     """Rebuild an indexed log from FILE, whose session was killed or whose disk was full.
 
@@ -74,9 +73,9 @@ def recover(file: Path, output: Path | None) -> None:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=PATH)
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .asc, .trc, .mf4, .csv or .npz."
+    "-o", "--output", type=PATH, required=True, help="Ends in .log, .blf, .asc, .trc, .mf4, .csv or .npz."
 )
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may be given more than once.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
@@ -101,7 +100,7 @@ def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> No
 @click.command()
 @click.argument("viewer", type=click.Choice(["foxglove", "lichtblick", "plotjuggler"]))
 @click.argument("source", metavar="SOURCE")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE", help="File to write; by default it is printed.")
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="File to write; by default it is printed.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     """Make a layout for the logs of SOURCE, an experiment or a log: outputs, states, inputs, delays, timing and events.
@@ -136,17 +135,17 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=PATH)
 @click.option("--verify", "do_verify", is_flag=True, help="Re-run controller and plant; compare every record.")
-@click.option("--key", type=click.Path(path_type=Path), metavar="PUB", help="With --verify: who signed the log (signing.pub).")
-@click.option("--auth", type=click.Path(path_type=Path), metavar="KEY", help="With --verify: check all tags (frames.key).")
+@click.option("--key", type=PATH, metavar="PUB", help="With --verify: who signed the log (signing.pub).")
+@click.option("--auth", type=PATH, metavar="KEY", help="With --verify: check all tags (frames.key).")
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
 @click.option("--parameter", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller; repeatable.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
 @click.option("--process", metavar="URI", help="Send its sensor packets to the controller's process there; compare the answers.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
 @click.option("--folder", metavar="DIR", help="Where the files stand that the experiment names (own modules, an FMU).")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.csv", help="With --controller: write the series.")
+@click.option("-o", "--output", type=PATH, metavar="FILE.csv", help="With --controller: write the series.")
 @json_option()
 def replay(
     file: Path, do_verify: bool, key: Path | None, auth: Path | None, controller: str | None, sets: tuple[str, ...],

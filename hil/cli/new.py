@@ -14,6 +14,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.list import GROUPS
+from hil.cli.option_types import NamedPath
 from hil.cli.terminal import Working, answer, json_option, print_each_folded, visible
 from hil.errors import HilError
 
@@ -28,7 +29,7 @@ PARTS = ("plant", "controller", "law", "measure", "experiment")
 @click.command()
 @click.argument("part", type=click.Choice(PARTS))
 @click.argument("name")
-@click.option("-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("."),
+@click.option("-o", "--output", "folder", type=NamedPath(file_okay=False, path_type=Path), default=Path("."),
               help="Folder to write to, made if needed; the working folder by default.")  # fmt: skip
 @click.option("--language", type=click.Choice(["python", "c"]),
               help="controller: a program of its own in this language, for `hil rig EXPERIMENT`.")  # fmt: skip

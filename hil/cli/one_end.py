@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import Duration, Questions
+from hil.cli.option_types import PATH, Duration, Questions
 from hil.cli.run import LONGEST_WAIT_S, run, session_options
 from hil.cli.terminal import Working, answer, json_option, visible
 from hil.errors import nearest
@@ -102,7 +102,7 @@ def keys() -> None:
 
 
 @keys.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.option("--host", "hosts", multiple=True, help="Name or address of the rig besides localhost; several allowed.")
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificates are valid.")
 def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
@@ -116,7 +116,7 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
 
 
 @keys.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificates are valid.")
 def renew(folder: Path, days: int) -> None:
     """Make new certificates for the keys in FOLDER, which `hil keys new` made; it must hold ca.key. No private key changes."""
@@ -127,7 +127,7 @@ def renew(folder: Path, days: int) -> None:
 
 
 @keys.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.argument("name")
 @click.option("--host", "hosts", multiple=True, help="Name or address of a rig of that name besides localhost; several allowed.")
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificate is valid.")
@@ -141,7 +141,7 @@ def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
 
 
 @keys.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.argument("names", nargs=-1, required=True)
 def revoke(folder: Path, names: tuple[str, ...]) -> None:
     """Revoke NAMES: write a list in FOLDER that both ends need beside their ca.pem. Links that are open stay open."""
@@ -155,7 +155,7 @@ def revoke(folder: Path, names: tuple[str, ...]) -> None:
 
 
 @keys.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 def signing(folder: Path) -> None:
     """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub checks the signatures."""
     from hil.files.signature import make_signing_key

@@ -21,7 +21,17 @@ if TYPE_CHECKING:
     from hil.session import Onlooker
 
 
-OUTPUT: Final = click.Path(path_type=Path, dir_okay=False)
+class NamedPath(click.Path):
+    """A path that has a name; without one, as where a variable of the shell is not set, ``Path`` would be the working folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not str(value):
+            self.fail("the name is empty; is a variable of the shell not set?", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH: Final = NamedPath(path_type=Path)
+OUTPUT: Final = NamedPath(path_type=Path, dir_okay=False)
 
 
 class Questions(click.Group):

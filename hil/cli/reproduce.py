@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.option_types import PATH
 from hil.cli.terminal import Working, json_option, print_json, terminal_columns, wants_json
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ WIDEST = 110
 @click.command()
 @click.argument("chapter")
 @json_option("Print one JSON object; for all, one per chapter by its name.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder.")
+@click.option("-o", "--output", type=PATH, help="Write the page with the figures here; for all, a folder.")
 @click.option("--power", "with_power", is_flag=True, help="Also say how many verdicts change if a number is 10 % off.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 def command(chapter: str, output: Path | None, with_power: bool, force: bool) -> None:

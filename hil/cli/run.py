@@ -18,7 +18,7 @@ import click
 
 from design.whole_process import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import Duration, Within, foxglove_beside, foxglove_option
+from hil.cli.option_types import PATH, Duration, Within, foxglove_beside, foxglove_option
 from hil.cli.terminal import Working, answer, json_option, visible, wants_json
 from hil.errors import HilError, collect_garbage_again
 from hil.files import check_ending
@@ -92,7 +92,7 @@ def session_options(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command what each takes that runs a session: changes, link, seed, duration and log."""
     for option in (
         click.option("--force", is_flag=True, help="Replace the file of -o."),
-        click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/."),
+        click.option("-o", "--output", type=PATH, metavar="FILE.mcap", help="Log; by default below runs/."),
         click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min."),
         click.option("--seed", type=int, help="Seed of the run; the experiment's own by default."),
         click.option("--link", metavar="URI", help="Link in real time, such as can:hil:rig0 or zenoh:tcp/127.0.0.1:7447; the "
@@ -112,7 +112,7 @@ def session_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")
 @click.option("--index", type=click.Choice(["full", "chunk"]), default="full", show_default=True,
               help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
-@click.option("--sign", "sign", type=click.Path(path_type=Path), metavar="KEY",
+@click.option("--sign", "sign", type=PATH, metavar="KEY",
               help="Sign the log with this key (hil keys signing); the signature stands in FILE.mcap.sig.")  # fmt: skip
 @click.option("--signals", metavar="URI", help="Publish named signals over zenoh, such as zenoh:tcp/127.0.0.1:7448.")
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link (or: hil rig).")
@@ -214,7 +214,7 @@ def run(
               help="real: separate processes keep time; takes fewer changes.")  # fmt: skip
 @click.option("--speed", type=Within(1e-3, 1e3), default=1.0, show_default=True, help="Times real time.")
 @click.option("--paused", is_flag=True, help="Pause before slot 0, until the page resumes.")
-@click.option("--script", type=click.Path(path_type=Path), metavar="FILE",
+@click.option("--script", type=PATH, metavar="FILE",
               help="Without a page: run with the changes of a script, or of a log; in virtual time at full speed.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page on 127.0.0.1; a free one by default.")
 @click.option("--folder", metavar="DIR", help="Of a LOG: folder of own modules, which are run.")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.option_types import PATH
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option, print_folded, print_written, visible
 from hil.errors import HilError, located, nearest
@@ -33,14 +34,14 @@ if TYPE_CHECKING:
 @click.option("--grid", "grids", type=CHANGE, multiple=True, metavar="KEY=A,B,...", help="Run at all combinations of them.")
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
 @click.option("--points", type=int, metavar="N", help="Number of points of a Latin hypercube over the ranges.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Write a page with the distributions.")
-@click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE.csv", help="Write a row per run.")
+@click.option("-o", "--output", type=PATH, metavar="PAGE.html", help="Write a page with the distributions.")
+@click.option("--csv", "table", type=PATH, metavar="FILE.csv", help="Write a row per run.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
 )
 @click.option("--level", type=float, show_default="0.95", help="Confidence of that interval at the stop.")
-@click.option("--resume", type=click.Path(path_type=Path), help="Keep finished runs in this file, go on from it.")
+@click.option("--resume", type=PATH, help="Keep finished runs in this file, go on from it.")
 @click.option("--metric", "own", multiple=True, metavar="MODULE:FUNCTION", help="A number of your own: a function of a RunView.")
 @click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True,
               help="loky: processes of this machine; dask: the workers of --scheduler.")  # fmt: skip

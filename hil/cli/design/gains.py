@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.design_question import Question, gain_unit, option_faults, shaped
-from hil.cli.option_types import Number
+from hil.cli.option_types import PATH, Number
 from hil.cli.page_text import print_table, show_page
 from hil.cli.terminal import Working, print_facts, visible
 from hil.cli.terminal import answer as print_answer
@@ -252,7 +252,7 @@ QUESTIONS = (
                            "A.1.0=10%; repeatable."),
          click.Option(["--robust"], is_flag=True,
                       help="--uncertainty: gains of the smallest guaranteed H2 norm, instead of nominal ones."),
-         click.Option(["--network"], type=click.Path(path_type=Path),
+         click.Option(["--network"], type=PATH,
                       help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves "
                            "possible.")],
         answer, page=False,

@@ -47,7 +47,9 @@ def test_a_word_that_is_near_nothing_is_not_guessed(cli: Hil, words: tuple[str, 
         (("probe", "can:hil:x", "--rate", "nan"), "nan is not a number from 0.1 to 10000.\n"),
         (("design", "wall", "--stiffness", "nan"), "nan is not a number above 0.\n"),
         (("keys",), "Usage: hil keys [OPTIONS] COMMAND [ARGS]...\n\n  Make keys"),
-        (("report", ""), "FILE: the name is empty; is a variable of the shell not set?"),
+        *(((*words, ""), "the name is empty; is a variable of the shell not set?")
+          for words in (("report",), ("run", "dc-motor-hinf", "-o"), ("sweep", "dc-motor-hinf", "--csv"),
+                        ("identify", "law"), ("new", "plant", "cart", "-o"), ("design", "dc-motor", "--network"))),
         (("identify", "law", "x.csv", "--deadline", "1"), "1.0 is not a number above 0 below 1.\n"),
         *((("identify", "law", "x.log", "--can-id", number), "expected a CAN identifier such as 0x101")
           for number in ("-1", "0x20000000", "first")),
