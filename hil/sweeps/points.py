@@ -39,7 +39,7 @@ def grid(arguments: Sequence[str]) -> Points:
         arguments: ``key=a,b,c`` each; commas within brackets, braces and quotes belong to a value.
 
     Raises:
-        HilError: for another form, a key that is named twice, or too many points.
+        HilError: for another form, a key or a value that is named twice, or too many points.
 
     >>> grid(["period=10 ms,20 ms", "plant.gain=150,170"]).values
     (('10 ms', '150'), ('10 ms', '170'), ('20 ms', '150'), ('20 ms', '170'))
@@ -63,12 +63,17 @@ def grid_of(values: Mapping[str, Sequence[str]]) -> Points:
         values: key to what it is set to, as ``--set`` takes it.
 
     Raises:
-        HilError: too many points.
+        HilError: too many points, or a value that stands there twice.
     """
     axes = tuple(tuple(map(with_space, listed)) for listed in values.values())
     count = int(np.prod([len(axis) for axis in axes], dtype=np.float64))
     if count > MOST_POINTS:
         raise HilError(f"grid: {count} points; at most {MOST_POINTS}")
+    for key, axis in zip(values, axes):
+        numbers, _ = numbers_of(axis)
+        different = len(set(axis if numbers is None else numbers.tolist()))
+        if different < len(axis):
+            raise HilError(f"grid {key}: {', '.join(axis):.60}: {different} of {len(axis)} values differ; name each once")
     return Points(keys=tuple(values), values=tuple(itertools.product(*axes)), axes=axes)
 
 

@@ -34,6 +34,8 @@ HERE = Workers(backend="serial")
         (["=1,2"], "grid '=1,2': expected key=a,b,c"),
         (["a=1,,2"], "grid 'a=1,,2': expected key=a,b,c"),
         (["a=1", "a =2"], "grid a: named twice"),
+        (["a=25ms,50 ms,25.0 ms"], "grid a: 25 ms, 50 ms, 25.0 ms: 2 of 3 values differ; name each once"),
+        (["a=h2,h2"], "grid a: h2, h2: 1 of 2 values differ; name each once"),
         (["a=1,2,3", "b=1,2"], "grid: 6 points; at most 4"),
     ],
 )
