@@ -114,7 +114,13 @@ def ask_process(
         for k, group in groupby(frames(run.pieces(SENSOR.name, BATCH)), key=itemgetter(0)):
             for _, data in group:
                 link.send(data)
-            answer, again, silent = _answer(link, k, left_s if k in recorded else UNRECORDED_S, answered)
+            answer, again, silent = None, False, True
+            for packet in _control_packets(link, left_s if k in recorded else UNRECORDED_S):
+                silent = False
+                if packet.seq == k:
+                    answer = packet
+                    break
+                again = again or packet.seq == answered
             own = [Difference(slot=answered, field="answers", recorded="1", now="more")] * again
             answered = answered if answer is None else k
             if k in recorded:
@@ -136,18 +142,14 @@ def _answers_of(run: Run) -> dict[int, ControlPacket]:
     return found
 
 
-def _answer(link: Link, k: int, patience_s: float, answered: int) -> tuple[ControlPacket | None, bool, bool]:
-    """Return the answer to slot k, whether slot `answered` was answered again before it, and whether nothing came."""
-    limit, again, silent = monotonic_ns() + round(patience_s * 1e9), False, True
+def _control_packets(link: Link, patience_s: float) -> Iterator[ControlPacket]:
+    """Yield the control packets that come within the patience."""
+    limit = monotonic_ns() + round(patience_s * 1e9)
     while (left := limit - monotonic_ns()) > 0:
         data = link.receive(left / 1e9)
         packet = decode(data) if data is not None else None
         if isinstance(packet, ControlPacket):
-            silent = False
-            if packet.seq == k:
-                return packet, again, silent
-            again = again or packet.seq == answered
-    return None, again, silent
+            yield packet
 
 
 def differences(k: int, recorded: ControlPacket, now: ControlPacket | None) -> Iterator[Difference]:
