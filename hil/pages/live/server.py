@@ -71,6 +71,7 @@ class LivePage(ThreadingHTTPServer):
     """
 
     block_on_close = False  # a browser that keeps its connection open keeps nothing else open
+    request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, desk: Desk, about: Callable[[], dict[str, Any]], port: int) -> None:
         self.desk, self.about = desk, about
@@ -79,6 +80,7 @@ class LivePage(ThreadingHTTPServer):
         self.refused = 0
         self.closed = False
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self.drawing = threading.Lock()  # one picture at a time: many browsers leave the run and its log as much as one does
         with located(f"--port {port}", OSError, advice="--port 0 takes a free one"):
             super().__init__((HOST, port), Handler)
         self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, name="live page", daemon=True)
@@ -191,6 +193,11 @@ class Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         """The terminal is the run's."""
 
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what is no request, or too long for one."""
+        self.server.refused += 1
+        super().send_error(code, message, explain)
+
     def do_GET(self) -> None:
         """Answer with the page, or with what it shows."""
         self._answer(self._get)
@@ -211,19 +218,18 @@ class Handler(BaseHTTPRequestHandler):
         self.close_connection = self.close_connection or self.server.closed
         if kind.startswith("text/"):
             kind += "; charset=utf-8"
-        with suppress(OSError):
-            self.connection.settimeout(TIMEOUT_S)
-            self.send_response(status)
-            for name, value in (
-                ("Content-Type", kind), ("Content-Length", str(len(data))),
-                ("Content-Security-Policy", POLICY), ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "no-referrer"),
-                ("Cross-Origin-Resource-Policy", "same-origin"), ("Cache-Control", "no-store"),
-            ):  # fmt: skip
-                self.send_header(name, value)
-            if self.close_connection:
-                self.send_header("Connection", "close")
-            self.end_headers()
-            self.wfile.write(data)
+        self.connection.settimeout(TIMEOUT_S)  # one that takes nothing for so long, or has gone, gets no further answer
+        self.send_response(status)
+        for name, value in (
+            ("Content-Type", kind), ("Content-Length", str(len(data))),
+            ("Content-Security-Policy", POLICY), ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "no-referrer"),
+            ("Cross-Origin-Resource-Policy", "same-origin"), ("Cache-Control", "no-store"),
+        ):  # fmt: skip
+            self.send_header(name, value)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(data)
 
     def _check(self) -> None:
         """Refuse a page of another site: by the name it asked for, and by where it comes from."""
@@ -250,7 +256,8 @@ class Handler(BaseHTTPRequestHandler):
         if path == "/script":
             return "text/plain", script_of(self._side(asked).done)
         if path == "/view":
-            return "application/octet-stream", self._view(asked)
+            with self.server.drawing:
+                return "application/octet-stream", self._view(asked)
         raise Refused(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is no such page")
 
     def _side(self, asked: dict[str, str]) -> Any:

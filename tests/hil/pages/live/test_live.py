@@ -11,6 +11,7 @@ import socket
 import struct
 import threading
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -276,6 +277,50 @@ def test_a_request_that_drips_in_is_given_up(still: Page, monkeypatch: pytest.Mo
             else:
                 raise AssertionError("the page still waits for the rest")
     assert still.view()["refused"] == 0
+
+
+def test_what_is_no_request_is_counted(still: Page) -> None:
+    for number, said in enumerate((b"PUT / HTTP/1.1\r\n\r\n", b"GET / HTTP/7\r\n\r\n", b"GET /" + 65_532 * b"x"), 1):
+        with socket.create_connection(("127.0.0.1", still.port), timeout=30) as link:
+            link.sendall(said)
+            assert b"Error response" in link.makefile("rb").read()
+        assert still.view()["refused"] == number
+
+
+def test_who_takes_no_answer_gets_no_other(still: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of the requests that lay ready was answered, ten seconds long, and so was each of one that had gone."""
+    answered: list[str] = []
+
+    def get(handler: server.Handler) -> tuple[str, bytes]:
+        answered.append(handler.path)
+        return "text/plain", bytes(10_000_000)
+
+    monkeypatch.setattr(server, "TIMEOUT_S", 0.2)
+    monkeypatch.setattr(server.Handler, "_get", get)
+    with socket.create_connection(("127.0.0.1", still.port), timeout=30) as link:
+        link.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{still.port}\r\n\r\n".encode() * 20)
+        until(lambda: bool(answered) and not serving(), "the end of the connection")
+    assert len(answered) == 1
+
+
+def serving() -> bool:
+    """Return whether a connection is served."""
+    return any("process_request_thread" in thread.name for thread in threading.enumerate())
+
+
+def test_pictures_are_drawn_one_after_the_other(still: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thirty browsers that ask all the time left the run's process so little that Ctrl-C took half a minute."""
+    drawing, never = threading.Lock(), threading.Event()
+
+    def drawn(*_: object) -> bytes:
+        assert drawing.acquire(blocking=False), "another one is being drawn"
+        never.wait(0.1)
+        drawing.release()
+        return b""
+
+    monkeypatch.setattr(server, "picture", drawn)
+    with ThreadPoolExecutor(3) as browsers:
+        assert all(found["slots"] == 0 for found in browsers.map(lambda _: still.view(), range(3)))
 
 
 def test_a_change_is_shown_with_its_certificate_and_acts_when_it_is_applied(page: Page) -> None:
