@@ -86,7 +86,7 @@ class StiffnessCell:
 
     Args:
         period_s: T in s.
-        delay: largest total delay nd in samples.
+        delay_samples: largest total delay nd.
         hand_damping_n_s_per_m: least damping b_h of any hand.
         certified_n_per_m: 1/C(1) of a coupler that is safe for every passive hand and wall at every delay from 0 to nd.
         ceiling_n_per_m: 2 (b + b_h)/((nd + 1) T), the limit for every passive hand.
@@ -97,7 +97,7 @@ class StiffnessCell:
     """
 
     period_s: float
-    delay: int
+    delay_samples: int
     hand_damping_n_s_per_m: float
     certified_n_per_m: float
     ceiling_n_per_m: float
@@ -140,7 +140,7 @@ def stiffness_map(
                 cells.append(
                     StiffnessCell(
                         period_s=period,
-                        delay=delay,
+                        delay_samples=delay,
                         hand_damping_n_s_per_m=hand,
                         certified_n_per_m=1.0 / coupler.static_compliance_m_per_n,
                         ceiling_n_per_m=ceiling_n_per_m(period, beta, delay),

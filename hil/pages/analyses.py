@@ -163,13 +163,13 @@ def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: 
         damping: of the device at its tip, N s/m.
     """
     rate = f"{1e3 * period_s:g} ms"
-    delays = sorted({c.delay for c in cells})
+    delays = sorted({c.delay_samples for c in cells})
     x = list(range(delays[0], delays[-1] + 1))
     hands = list(dict.fromkeys(c.hand_damping_n_s_per_m for c in cells))
 
     def at(hand: float, value: Callable[[StiffnessCell], float | None]) -> list[float]:
         """Values over x, NaN at a delay that was not computed: a line joins neighbours only."""
-        found = {c.delay: value(c) for c in cells if c.hand_damping_n_s_per_m == hand}
+        found = {c.delay_samples: value(c) for c in cells if c.hand_damping_n_s_per_m == hand}
         return [math.nan if (y := found.get(d)) is None else y for d in x]
 
     curves = []
@@ -209,12 +209,12 @@ def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: 
     damped = "hand N\N{NO-BREAK SPACE}s/m"  # in one line of a narrow column
     columns = ("samples late", damped, "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
     rows = [
-        (f"0..{c.delay}", c.hand_damping_n_s_per_m, c.certified_n_per_m, c.ceiling_n_per_m, c.colgate_n_per_m,
+        (f"0..{c.delay_samples}", c.hand_damping_n_s_per_m, c.certified_n_per_m, c.ceiling_n_per_m, c.colgate_n_per_m,
          c.gil_hulin_n_per_m, c.exact_n_per_m)
         for c in cells
     ]  # fmt: skip
     lists = [
-        f"delays 0..{c.delay}, hand {c.hand_damping_n_s_per_m:g} N s/m\n" + "\n".join(f"    {tap!r}" for tap in c.taps_m_per_n)
+        "\n    ".join([f"delays 0..{c.delay_samples}, hand {c.hand_damping_n_s_per_m:g} N s/m", *map(repr, c.taps_m_per_n)])
         for c in cells
     ]
     taps = Text(title=f"Taps in m/N of all {len(cells)} couplers", code=True, folded=True, text="\n\n".join(lists))

@@ -71,7 +71,7 @@ def test_a_designed_wall_holds_the_columns_of_the_terminal(monkeypatch: pytest.M
 
 def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -> None:
     cells = json.loads(mapped(*MAP, "--json").stdout)["cells"]
-    at = {(c["period_s"], c["delay"], c["hand_damping_n_s_per_m"]): c for c in cells}
+    at = {(c["period_s"], c["delay_samples"], c["hand_damping_n_s_per_m"]): c for c in cells}
     assert len(at) == 8
     assert at[0.05, 6, 0.0]["ceiling_n_per_m"] == pytest.approx(11.347, abs=1e-3)
     assert at[0.001, 6, 10.0]["ceiling_n_per_m"] == pytest.approx(3425, abs=1)
@@ -88,7 +88,7 @@ def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -
 def test_a_map_of_one_hand_has_a_page() -> None:
     cells = [
         StiffnessCell(
-            period_s=0.001, delay=delay, hand_damping_n_s_per_m=5.0, certified_n_per_m=900.0, ceiling_n_per_m=1000.0,
+            period_s=0.001, delay_samples=delay, hand_damping_n_s_per_m=5.0, certified_n_per_m=900.0, ceiling_n_per_m=1000.0,
             colgate_n_per_m=None, gil_hulin_n_per_m=700.0, exact_n_per_m=710.0, taps_m_per_n=(0.001,),
         )
         for delay in (2, 4)
@@ -106,6 +106,7 @@ def test_the_map_as_a_table_a_csv_and_a_page(tmp_path: Path) -> None:
     assert "Safe for every passive hand" in shown.stdout and "0..6" in shown.stdout
     rows = list(csv.DictReader((tmp_path / "m.csv").open()))
     assert len(rows) == 8 and len(rows[-1]["taps_m_per_n"].split()) == 24
+    assert all(column.endswith(("_s", "_samples", "_n_s_per_m", "_n_per_m", "_m_per_n")) for column in rows[0])
     page = (tmp_path / "m.html").read_text()
     assert page.startswith("<!doctype html>") and "Contours at T = 50 ms" in page and "ceiling" in page
     assert page.count("Taps in m/N") == 2, "one list for each period"
@@ -117,7 +118,8 @@ def test_the_map_as_a_table_a_csv_and_a_page(tmp_path: Path) -> None:
 def test_a_map_of_one_cell_is_a_table_of_one_row(tmp_path: Path) -> None:
     shown = mapped("--period", "1ms", "--delay", "0", "--hand", "5", "--csv", str(tmp_path / "m.csv"))
     (row,) = csv.DictReader((tmp_path / "m.csv").open())
-    assert shown.exit_code == 0 and (row["period_s"], row["delay"], row["hand_damping_n_s_per_m"]) == ("0.001", "0", "5.0")
+    assert shown.exit_code == 0
+    assert (row["period_s"], row["delay_samples"], row["hand_damping_n_s_per_m"]) == ("0.001", "0", "5.0")
 
 
 def test_a_joint_with_a_lever_is_stiffer() -> None:

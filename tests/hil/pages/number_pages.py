@@ -149,7 +149,7 @@ def designs() -> dict[str, list[str]]:
         Compromise(0.5, 1.5, 2.0, 1.25, np.zeros((1, 1)), "refused"),
     ]
     cells = [
-        StiffnessCell(period_s=period, delay=delay, hand_damping_n_s_per_m=hand,
+        StiffnessCell(period_s=period, delay_samples=delay, hand_damping_n_s_per_m=hand,
                       certified_n_per_m=9.0 * (1 + hand) / (period * (1 + delay)),
                       ceiling_n_per_m=12.0 * (1 + hand) / (1 + delay), colgate_n_per_m=None if delay else 70.0,
                       gil_hulin_n_per_m=7.0,
