@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import count
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import LinearLaw, LoopModel
+from design.controllers import LinearLaw, LoopModel, Selection, row_count
 from design.errors import Infeasible
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import solve_tracking
@@ -24,8 +24,9 @@ from hil.certify import limited_to_model
 from hil.certify.conformance import plant_check, tested, without_loop
 from hil.certify.send_all_loop import second_moment_verdict
 from hil.errors import HilError, located, nearest
+from hil.experiment.tables import Timing
 from hil.plugins import is_ours
-from hil.rig import motion_of
+from hil.rig import RigSpec, motion_of
 from plants.parts.protocols import Plant
 from transport.errors import NotKnown
 
@@ -52,7 +53,8 @@ PRINTED_VTOL = (
 class TrackingTarget(NamedTuple):
     """Where a controller is to work: plant's name, period in s, discrete plant, the two delay chains, and the plant itself.
 
-    `left_out` says what the chains leave out of the loop that runs, a phrase; empty: nothing.
+    What comes until `deadline`, a share of a slot, counts in it. `left_out` says what the chains leave out of the loop that runs,
+    a phrase; empty: nothing.
     """
 
     plant: str
@@ -63,6 +65,7 @@ class TrackingTarget(NamedTuple):
     sc: DelayChain
     ca: DelayChain
     of: Plant
+    deadline: float = Timing().deadline
     left_out: str = ""
 
 
@@ -124,8 +127,23 @@ def target_of(
     if row_sojourns > 1 and on_bus:
         raise HilError(f"{name}: row_sojourns: {row_sojourns}, but stays over a CAN bus with time are not distinguished")
     shorter = "frames on the bus that are shorter than they can be, or of fewer rows, make other ages, over which hil run judges"
-    left_out = shorter if on_bus else chains.neglects()
-    return _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)._replace(left_out=left_out)
+    left_out = shorter if on_bus and not _of_every_length(rig, sc, ca) else chains.neglects()
+    target = _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)
+    return target._replace(deadline=experiment.timing.deadline, left_out=left_out)
+
+
+def _of_every_length(rig: RigSpec, sc: DelayChain, ca: DelayChain) -> bool:
+    """Return whether frames of every length, with as many rows as any selection takes, make the ages of the longest: these."""
+    from hil.rig.bus_delays import bus_chains
+
+    try:
+        found = [bus_chains(rig, rows) for rows in {row_count(each, rig.at_actuator.max_age) for each in get_args(Selection)}]
+    except NotKnown:
+        return False
+    return all(
+        not each.open and np.array_equal(each.matrix, own.matrix) and np.array_equal(each.delay, own.delay)
+        for chains in found for each, own in zip(chains, (sc, ca))
+    )  # fmt: skip
 
 
 def _target(plant: Plant, name: str, period: float, sc: DelayChain, ca: DelayChain) -> TrackingTarget:

@@ -140,11 +140,12 @@ class Comparison(ShownResult):
 
 def _change(a: NDArray[np.float64], b: NDArray[np.float64], unit: str) -> str:
     """The difference of the means, in per cent where the first mean is above 0 with certainty."""
-    share = ratio_interval(a, b)
+    gap, share = difference_interval(a, b), ratio_interval(a, b)
+    if gap.low == gap.high:
+        return f"{' '.join(filter(None, (f'{gap.value:+.4g}', unit)))} in every pair (equal differences: no interval)"
     if a.mean() > 0.0 and share.bounded:
         value, low, high = (f"{100.0 * (q - 1.0):+.1f}" for q in (share.value, share.low, share.high))
         return f"{value} %, 95 % interval {low} to {high} %"
-    gap = difference_interval(a, b)
     number = f"{gap.value:+.4g}, 95 % interval {gap.low:+.4g} to {gap.high:+.4g}"
     return f"{number} {unit}" if unit else number
 

@@ -137,12 +137,13 @@ def asked(quantities: Sequence[Quantity], name: str | None, runs: Sequence[Value
 
 
 def within(interval: Interval) -> str | None:
-    """Return an interval in words, exponents as in a table's numbers; None where it is infinitely wide.
+    """Return an interval in words, exponents as in a table's numbers; None where it is infinitely wide or has no width.
 
     >>> within(Interval(value=1.0, low=-3e-7, high=2.5, level=0.95, n=9))
     '-3e-7 to 2.5'
     """
-    return f"{interval.low:.5g} to {interval.high:.5g}".replace("e-0", "e-") if interval.bounded else None
+    known = interval.bounded and interval.low < interval.high
+    return f"{interval.low:.5g} to {interval.high:.5g}".replace("e-0", "e-") if known else None
 
 
 def as_plain(interval: Interval) -> dict[str, float | int | None]:

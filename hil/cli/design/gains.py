@@ -41,7 +41,7 @@ def answer(
         from hil.design_questions.measured_network import over_network
 
         with Working(f"network of {network}"):
-            ways = measured_ways(network, target.period_s)
+            ways = measured_ways(network, target.period_s, target.deadline)
         target = over_network(target, *ways[:2])
     intervals = [interval(target.of, said) for said in uncertainty]
     if robust and (not intervals or objective != "h2" or method != "direct"):
@@ -68,7 +68,7 @@ def answer(
     print_answer(document, _show, design, document, gain_unit(target.of.inputs, target.of.outputs))
 
 
-def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tuple[str, ...]]:
+def measured_ways(path: Path, period_s: float, deadline: float) -> tuple[Measured, Measured, tuple[str, ...]]:
     """Return both directions of a measured link, the law of each fitted to its packets, and what was done about clocks.
 
     Fitting alone loads scipy.stats, half a second of CPU.
@@ -76,12 +76,12 @@ def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tupl
     Args:
         path: a log of `hil probe`, or of a run.
         period_s: length of a slot, s.
+        deadline: until when what comes counts in it, a share of a slot.
 
     Raises:
         HilError: the log has one direction, or a direction that no law explains.
     """
     from hil.design_questions.measured_network import measured
-    from hil.experiment.tables import Timing
     from hil.log.recordings import BACK, THERE, packet_records
     from hil.log.recordings.read import read_recording
     from transport.errors import FieldError
@@ -94,7 +94,7 @@ def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tupl
     found = {}
     for way, record in records.items():
         with located(f"--network {path}: {way}", HilError, FieldError):
-            found[way] = measured(fit_law(record, period_s, Timing().deadline * period_s), holds_input=way == BACK)
+            found[way] = measured(fit_law(record, period_s, deadline * period_s), holds_input=way == BACK)
     return found[THERE], found[BACK], notes
 
 

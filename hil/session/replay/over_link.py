@@ -43,6 +43,9 @@ LESS: Final = 0.5
 """Patience with a slot beside that with the one before it, in which nothing came: a process that ended costs two patiences, and
 `UNRECORDED_S` a slot."""
 
+MOST_TAKEN: Final = 1000
+"""Frames that the other end takes between two that are played: a link of one's own may never be empty."""
+
 MOST_TOLD: Final = 20
 """Differences that are kept, at most."""
 
@@ -203,8 +206,9 @@ def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None])
             clock.wait_until(at)
             found.append((clock.now() - at) / 1e3)
             links[role].send(data)
-            while links["controller" if role == "rig" else "rig"].receive(0) is not None:
-                pass  # our own other end receives what we play; keep its queue short
+            for _ in range(MOST_TAKEN):  # our own other end receives what we play; keep its queue short
+                if links["controller" if role == "rig" else "rig"].receive(0) is None:
+                    break
             progress(i, count)
             if len(found) == BATCH:
                 errors.extend(np.array(found))

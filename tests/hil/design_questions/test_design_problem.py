@@ -7,14 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.linalg import expm
 
 import hil.design_questions as design_problem
+from design.controllers import SendAll, nested
 from design.requests.tracking import solve_tracking
 from hil.cli.design import command
+from hil.compose import compose
 from hil.design_questions import PRINTED_VTOL, compromises, problem_for, target_of, tracking_target, verdict_on
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -44,6 +47,18 @@ def test_gains_that_lean_on_turns_which_shorter_frames_break_are_not_certified_b
     target = tracking_target("dc-motor-ours-busy-can")
     verdict = verdict_on(target, solve_tracking(problem_for(target, starts=1)))
     assert verdict.state == "undecided" and "certified but for what is left out: frames on the bus that" in verdict.reason
+
+
+def test_a_design_is_certified_over_a_bus_on_which_frames_of_every_length_make_the_same_ages() -> None:
+    """`hil run` certifies it with the same radius: at 1 Mbit/s every packet is in time, whatever its bits and rows are."""
+    said = ("media.bus.bitrate=1000000", "sc.max_age=0", "ca.max_age=0")
+    fast = load_experiment("dc-motor-ours-busy-can", [f"network.{each}" for each in said])
+    target = target_of(fast, "fast")
+    design = solve_tracking(problem_for(target, **FAST))
+    gains = SendAll(gains=nested(design.gains), selection="constant")
+    run = compose(msgspec.structs.replace(fast, controller=gains, kinds={**fast.kinds, "controller": "send-all"})).verdict
+    verdict = verdict_on(target, design)
+    assert run is not None and run.state == verdict.state == "certified" and verdict.number == pytest.approx(run.number, rel=1e-9)
 
 
 @pytest.mark.parametrize(("bound", "state"), [("", "undecided"), (", discard_older=3", "certified")])

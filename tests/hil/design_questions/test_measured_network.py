@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.resources import files
 from pathlib import Path
 
 from design.requests.tracking import solve_tracking
@@ -37,6 +38,17 @@ def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     region = json.loads(out)["network"]["region"]
     assert region["state"] == "undecided"
     assert 400 < int(region["reason"].partition("about ")[2].split()[0]) < 6000
+
+
+def test_what_comes_until_the_deadline_of_the_experiment_counts_in_its_slot(cli: Hil, tmp_path: Path) -> None:
+    """After 40 ms of 50: in time by a deadline at 0.9 of a slot, and a slot late by one at 0.6, the default."""
+    run = [f"--set=network.{way}.law={{kind='packet', latency='40 ms'}}" for way in ("sc", "ca")]
+    assert cli("run", "dc-motor-packets", *run, "--set=allow_uncertified=true", "--duration=16", "-o", "link.mcap")[0] in (0, 3)
+    shipped = files("hil.experiments").joinpath("dc-motor-hinf.toml").read_text(encoding="utf-8")
+    (tmp_path / "later.toml").write_text(f"{shipped}\n[timing]\ndeadline = 0.9\n", encoding="utf-8")
+    status, out, err = cli("design", "later.toml", "--network", "link.mcap", "--starts=1", "--information=constant", "--json")
+    assert status == 0, err
+    assert [json.loads(out)["network"][way]["max_age"] for way in ("sc", "ca")] == [0, 0]
 
 
 def test_ages_that_never_came_and_friction_are_named_beside_a_region() -> None:

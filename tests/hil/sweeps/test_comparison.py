@@ -72,7 +72,7 @@ def test_a_mean_over_those_that_came_through_is_no_verdict(both: hil.Comparison,
 def test_equal_differences_of_a_few_runs_show_nothing() -> None:
     quantity = Quantity(name="lost", title="packets lost", better="lower")
     few = "b against a: undecided; packets lost differs by the same +1 in all 5 runs, and 6 are needed to show that"
-    enough = "b is worse than a: packets lost +100.0 %, 95 % interval +100.0 to +100.0 %, 6 runs"
+    enough = "b is worse than a: packets lost +1 in every pair (equal differences: no interval), 6 runs"
     for n, said in ((5, few), (6, enough)):
         values = {name: {"stopped": np.zeros(n), "lost": np.full(n, lost)} for name, lost in (("a", 1.0), ("b", 2.0))}
         assert hil.Comparison(runs=n, values=values, quantities=(quantity,)).verdict("b") == said

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -156,6 +157,20 @@ def test_frames_go_onto_a_link_in_their_order_and_at_their_spacing(speed: float,
     assert waits == [round((t - min(frames)) / speed) for t in sorted(frames)] and max(waits) == round(950_000_000 / speed)
     assert seen == [(i, len(frames)) for i in range(len(frames))]
     assert played.frames == len(frames) and played.error_us["max"] == 0.0
+
+
+def test_frames_are_played_onto_a_link_that_is_never_empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a link of one's own returns is taken a thousand times between two frames, and then the next one is played."""
+    run = simulate_as_logged(compose(load_experiment("dc-motor-hinf", ["duration=0.1"])), 0)
+    taken = []
+
+    @contextmanager
+    def never_empty(uri: str, role: str) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(send=lambda data: None, receive=lambda timeout_s: taken.append(role) or b"nonsense")
+
+    monkeypatch.setattr(over_link, "opened", never_empty)
+    assert over_link.onto(run, "local:", 100.0, lambda done, of: None).frames == 4
+    assert len(taken) == 4 * over_link.MOST_TAKEN
 
 
 def test_a_log_that_cannot_be_asked_says_why() -> None:
