@@ -101,3 +101,18 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("HILRIG_KERNEL_CACHE", os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache"))
         patch.setenv("XDG_CACHE_HOME", str(folder))
         yield
+
+
+def _process() -> tuple[object, ...]:
+    """What of this process a command of ours may change and a later test would find."""
+    zenoh = sys.modules.get("transport.links.zenoh_refusals")
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGPIPE)]
+    return os.getcwd(), handlers, signal.pthread_sigmask(signal.SIG_BLOCK, ()), gc.isenabled(), zenoh is not None and zenoh._free
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left() -> Iterator[None]:
+    """Fail the test that changes what the next one finds, and not the next one, which only another order brings behind it."""
+    before = _process()
+    yield
+    assert _process() == before

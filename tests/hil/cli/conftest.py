@@ -14,6 +14,7 @@ import pytest
 
 from hil.cli import doctor as doctor_page
 from hil.cli import main
+from transport.links import zenoh_refusals
 
 Hil = Callable[..., tuple[int, str, str]]
 
@@ -48,6 +49,7 @@ def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
     """Call ``hil`` in an empty folder: (exit status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])  # a module beside an experiment puts its folder there
+    monkeypatch.setattr(zenoh_refusals, "_free", False)  # `hil controller` gives zenoh the standard output of its process
 
     def call(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()

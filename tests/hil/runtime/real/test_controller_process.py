@@ -15,7 +15,7 @@ from hil.runtime.real import controller_process
 from hil.runtime.real.controller_process import ControllerReport, serve
 from tests.hil.cli.conftest import run_main
 from transport import LinkCounters
-from transport.links import Closing, Link
+from transport.links import Closing, Link, zenoh_refusals
 
 OPEN = "hil.runtime.real.controller_process.open_link"
 
@@ -95,6 +95,7 @@ def test_the_command_of_a_controller_says_what_was_raised(
     own: type, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(OPEN, lambda uri, role, period_s: own("receive", Terminated(15)))
+    monkeypatch.setattr(zenoh_refusals, "_free", False)  # the command sets it
     assert run_main("controller", "dc-motor-local", "--link", "can:hil:x") == 1
     assert "\nhil: OSError: receive failed (" in capsys.readouterr().err
 
