@@ -17,9 +17,7 @@ from msgspec.structs import replace
 
 from design.errors import FieldError
 
-Kind = Literal[
-    "mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"
-]
+Kind = Literal["mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"]
 State = Literal["certified", "refused", "undecided"]
 
 

@@ -287,9 +287,7 @@ def mean_square_radius(A: Array, transition: Array, *, bounded: bool = True) -> 
     return side_of_one(A, transition).bound if bounded else float("nan")
 
 
-def largest_by_arpack(
-    product: Callable[[Array], Array], start: Array, restarts: int, wanted: int, basis: int
-) -> float | None:  # fmt: skip
+def largest_by_arpack(product: Callable[[Array], Array], start: Array, restarts: int, wanted: int, basis: int) -> float | None:
     """Return the largest absolute eigenvalue of a linear map; None where ARPACK does not find it, or may not restart.
 
     Args:

@@ -278,9 +278,7 @@ class Segments(NamedTuple):
     x: FloatArray
 
 
-def segments(
-    loop: JumpLoop, flow: MatrixFlow, *, duration_s: float, dt_s: float, seed: int, first: int, runs: int
-) -> Segments:
+def segments(loop: JumpLoop, flow: MatrixFlow, *, duration_s: float, dt_s: float, seed: int, first: int, runs: int) -> Segments:
     """All segments of a batch with the states at their first grid points."""
     last = round(duration_s / dt_s)
     state = np.repeat(np.asarray(loop.start, dtype=float)[:, None], runs, axis=1)

@@ -65,9 +65,7 @@ def quadratic_growth(
     return family_growth(A, chances, A + added(changes), A + added(corners), [added(each) for each in beyond])
 
 
-def family_growth(
-    nominal: Array, transition: Array, loops: Array, corners: Array, beyond: Sequence[Array] = ()
-) -> Growth | None:  # fmt: skip
+def family_growth(nominal: Array, transition: Array, loops: Array, corners: Array, beyond: Sequence[Array] = ()) -> Growth | None:
     """Return how much the best family that was found grows in a slot; None where the program is too large to be solved.
 
     Args:

@@ -34,9 +34,7 @@ def colgate_n_per_m(period_s: float, damping_n_s_per_m: float, wall_damping_n_s_
     return 2.0 * (damping_n_s_per_m - abs(wall_damping_n_s_per_m)) / period_s
 
 
-def gil_hulin_n_per_m(
-    period_s: float, damping_n_s_per_m: float, delay: int, wall_damping_n_s_per_m: float = 0.0
-) -> float:
+def gil_hulin_n_per_m(period_s: float, damping_n_s_per_m: float, delay: int, wall_damping_n_s_per_m: float = 0.0) -> float:
     """Return K = (b + B)/(T/2 + nd T) in N/m, the linear boundary of stability for a delayed wall (not of passivity).
 
     It is exact as K and B become small against what mass and period allow.

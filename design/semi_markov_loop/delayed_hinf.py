@@ -33,15 +33,7 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi import Lift, as_float, attenuation
-from design.lmi.program import (
-    Array,
-    Inequality,
-    LmiProgram,
-    check_gain_bound,
-    symmetric_blocks,
-    symmetric_part,
-    transpose,
-)
+from design.lmi.program import Array, Inequality, LmiProgram, check_gain_bound, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import DelayedJumpSystem

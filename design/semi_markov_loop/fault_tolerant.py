@@ -27,15 +27,7 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi import decide, smallest_gamma
-from design.lmi.program import (
-    Array,
-    LmiProgram,
-    add_schur_rows,
-    check_gain_bound,
-    symmetric_blocks,
-    symmetric_part,
-    transpose,
-)
+from design.lmi.program import Array, LmiProgram, add_schur_rows, check_gain_bound, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop import JumpSystem

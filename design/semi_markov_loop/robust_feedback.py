@@ -28,15 +28,7 @@ import numpy as np
 from design.controllers.scheduled_gain import Schedule, ScheduledGain, tabulated
 from design.errors import FieldError, Infeasible, check_at_least_zero
 from design.lmi import as_float, decide
-from design.lmi.program import (
-    Array,
-    LmiProgram,
-    LmiSolution,
-    add_schur_rows,
-    check_gain_bound,
-    gain_limit,
-    symmetric_part,
-)
+from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, check_gain_bound, gain_limit, symmetric_part
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem, NormBounded
@@ -179,9 +171,7 @@ class FeedbackRequest:
         system.check(self.process)
         check_stabilisable(system, self.process)
         for condition in (self.condition, 0.1 * self.condition):  # a smaller box is easier to prove empty
-            program = feedback_program(
-                system, self.process, self.nodes, self.method, self.gain_bound, decay, condition
-            )  # fmt: skip
+            program = feedback_program(system, self.process, self.nodes, self.method, self.gain_bound, decay, condition)
             found = program.solve()
             if found.holds:
                 return found

@@ -230,9 +230,7 @@ def _slacks(system: JumpSystem) -> list[float]:
     return [factor * max(size, 1e-6) for factor in _SLACKS]
 
 
-def _decided(
-    state: State, which: str, factor: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]
-) -> Verdict:  # fmt: skip
+def _decided(state: State, which: str, factor: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]) -> Verdict:
     moments = f"second moments{which}"
     what = f"{moments} have no finite mean at the end of a stay in a mode: they grow faster than it is left"
     if math.isfinite(number):

@@ -183,9 +183,7 @@ class UncertainProgram:
             after = f"X[{i},{section},{min(node, self._last(i, section))}]"
             self.program.require(f"sample: {before} to {after}", rise, before, f"{phase}{self.parts}", after, strict=False)
 
-    def _falls(
-        self, i: int, seen: int, own: list[str], phase: str, low: FloatArray, high: FloatArray, cell_s: float
-    ) -> None:  # fmt: skip
+    def _falls(self, i: int, seen: int, own: list[str], phase: str, low: FloatArray, high: FloatArray, cell_s: float) -> None:
         """V falls along the flow of mode i, at both ends of a cell of the age and of every part of the period."""
         targets = [j for j in range(self.loop.system.modes) if j != i and high[j] > 0]
         corners = corners_of(targets, low, high)
@@ -218,6 +216,4 @@ class UncertainProgram:
     def _with_bound(self, bound: NormBounded, i: int, value: Array, here: Array, weight: Array) -> Array:
         """Beside a norm-bounded uncertainty: 2 z'P E d F z <= z'P E E'P z / e + e z'F'F z."""
         left, right = factors(bound, i, self.size)
-        return symmetric_blocks([
-            [value + weight * (right.T @ right)], [transpose(here @ left), -weight * np.eye(left.shape[1])],
-        ])  # fmt: skip
+        return symmetric_blocks([[value + weight * (right.T @ right)], [transpose(here @ left), -weight * np.eye(left.shape[1])]])

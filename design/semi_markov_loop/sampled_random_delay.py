@@ -173,9 +173,7 @@ def random_delay_verdict(
     """
     rows, seen, boxes = _modes(system.modes, process, gain)
     plant = JumpSystem(a=system.a[rows], b=system.b[rows])
-    loop = RandomDelayLoop(
-        system=plant, boxes=boxes, gains=gain.gain[:, 0], seen=seen, period_s=period_s, tau=tau, d=d
-    )  # fmt: skip
+    loop = RandomDelayLoop(system=plant, boxes=boxes, gains=gain.gain[:, 0], seen=seen, period_s=period_s, tau=tau, d=d)
     larger, smaller = moment_matrix(loop, upper=True), moment_matrix(loop, upper=False)
     upper = proved_radius(larger, len(loop.labels), radius(larger))
     lower = radius(smaller)

@@ -258,9 +258,7 @@ def _with_jumps(*matrices: Array, block: Change, end: int, width: float | None, 
 
 def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition) -> list[tuple[Cell, Cell]]:
     """All pairs of a section of eta's clock and one of r's. Raises ValueError as ``cells``."""
-    return [
-        (eta, r) for eta in cells(process.failure, eta_nodes) for r in cells(process.detection[eta.mode], r_nodes)
-    ]  # fmt: skip
+    return [(eta, r) for eta in cells(process.failure, eta_nodes) for r in cells(process.detection[eta.mode], r_nodes)]
 
 
 def pair_corners(process: FaultDetection, eta: Cell, r: Cell) -> Iterator[list[tuple[float, tuple[int, int, int, int]]]]:

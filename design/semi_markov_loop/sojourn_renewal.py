@@ -26,14 +26,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import FloatArray, JumpSystem
-from design.semi_markov_loop.period_moments import (
-    Box,
-    PeriodMoments,
-    TooLarge,
-    congruence,
-    period_moments,
-    svec_size,
-)
+from design.semi_markov_loop.period_moments import Box, PeriodMoments, TooLarge, congruence, period_moments, svec_size
 
 IntArray = npt.NDArray[np.intp]
 BINS = 64

@@ -28,9 +28,7 @@ from hil.runtime.real import go_real_time
 from hil.runtime.real.child import python_module
 from transport.links.python_can import can
 
-BUSES: Final = (
-    "hil", "hil, bitrate and no time", "hil, 1 Mbit/s in time", "socketcan", "udp_multicast", "virtual",
-)  # fmt: skip
+BUSES: Final = ("hil", "hil, bitrate and no time", "hil, 1 Mbit/s in time", "socketcan", "udp_multicast", "virtual")
 PRIORITY: Final = 60
 FLOOD: Final = 500
 TRIPS: Final = 200

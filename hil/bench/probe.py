@@ -80,9 +80,7 @@ def answer(link: Link) -> None:
             )
 
 
-def probe(
-    link: Link, rate_hz: float, seconds: float, progress: Callable[[int, int], object] = lambda done, of: None
-) -> Probed:
+def probe(link: Link, rate_hz: float, seconds: float, progress: Callable[[int, int], object] = lambda done, of: None) -> Probed:
     """Send frames at a rate, and take what comes back; the first answer counts.
 
     Args:

@@ -131,9 +131,7 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
     return limited_to_model(loop.plant, verdict, knows_jumps=True)
 
 
-def _within_reach(
-    plant: JumpModel, rates: JumpRates, gain: ScheduledGain
-) -> tuple[JumpModel, JumpRates, ScheduledGain]:
+def _within_reach(plant: JumpModel, rates: JumpRates, gain: ScheduledGain) -> tuple[JumpModel, JumpRates, ScheduledGain]:
     """Return matrices, rates and gains of the modes that a run comes to; what is never met decides nothing."""
     true, detected = rates.reached()
     shown = detected if rates.detection else true

@@ -93,9 +93,7 @@ def judge_region(
     regions = []
     for risk in RISKS:
         degree, radii = found.radii(risk)
-        regions.append({
-            "probability": risk, "states": {name: float(r) for (name, _), r in zip(names, radii)}, "degree": degree,
-        })  # fmt: skip
+        regions.append({"probability": risk, "states": {name: float(r) for (name, _), r in zip(names, radii)}, "degree": degree})
     left = 1.0 if clips else 1.0 - float((largest_disturbance(loop)[which] / room).max())  # it may act before a limit
     if starts and left <= 0.0:
         starts, why = [], "a disturbance takes the whole command"

@@ -170,9 +170,7 @@ def _us(lateness: dict[str, float | None]) -> str:
 @click.option("--answer", "answers", is_flag=True, help="Be the other end: answer until Ctrl-C, and log nothing.")
 @click.option("--both", is_flag=True, help="Be both ends, for a link within this machine.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
-def probe(
-    link: str, seconds: float, rate: float, output: Path | None, answers: bool, both: bool, force: bool
-) -> None:  # fmt: skip
+def probe(link: str, seconds: float, rate: float, output: Path | None, answers: bool, both: bool, force: bool) -> None:
     """Measure LINK, such as zenoh:tcp/10.0.0.2:7447 or can:socketcan:can0, with our own frames, and write a log.
 
     At the other end runs `hil probe LINK --answer`. The log is for `hil identify law` and `hil design --network`. Exit status 5:

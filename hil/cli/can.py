@@ -110,9 +110,7 @@ def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, res
         raise HilError(f"{interface}: {error}; is it there and up? `hil vcan -- COMMAND` has a vcan0") from error
 
 
-def _of_traffic(
-    path: Path, bitrate: str | None, dbitrate: str | None, seconds: float, errors: ErrorBursts | None
-) -> BusAnalysis:  # fmt: skip
+def _of_traffic(path: Path, bitrate: str | None, dbitrate: str | None, seconds: float, errors: ErrorBursts | None) -> BusAnalysis:
     from hil.design_questions.bus_analysis import analyse_traffic
     from hil.rig.named_files import read_traffic
     from hil.runtime.nodes import rng_for

@@ -34,9 +34,7 @@ NEGLIGIBLE = 1e-6
               help="--from-bus: write them here, for experiments: law.toml becomes law.sc.toml and law.ca.toml.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @json_option()
-def command(
-    experiment: str, sets: tuple[str, ...], from_bus: bool, output: Path | None, force: bool
-) -> None:  # fmt: skip
+def command(experiment: str, sets: tuple[str, ...], from_bus: bool, output: Path | None, force: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
     if from_bus:
         _from_bus(experiment, sets, output, force)

@@ -69,9 +69,7 @@ class TrackingTarget(NamedTuple):
     left_out: str = ""
 
 
-def tracking_target(
-    name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1
-) -> TrackingTarget:
+def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1) -> TrackingTarget:
     """Plant and network of a plant plug-in or a class of one's own, as "my_module:Cart" (network (7.34)), or of an experiment.
 
     The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
@@ -200,9 +198,7 @@ def motion_at(target: TrackingTarget) -> LoopModel:
 def model_at(target: TrackingTarget) -> LoopModel:
     """Return what a controller may know of the loop that is designed for."""
     tau_max = target.sc.max_delay if target.sc.held is None else int(target.sc.label.max())
-    return LoopModel(
-        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=tau_max, d_max=target.ca.max_delay
-    )  # fmt: skip
+    return LoopModel(A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=tau_max, d_max=target.ca.max_delay)
 
 
 def digest_of_design(target: TrackingTarget, design: Design) -> str:

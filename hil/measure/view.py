@@ -179,9 +179,7 @@ def view_of(run: Run, experiment: Experiment | None = None, rig: RigSpec | None 
         inputs={name: _unit(run, APPLIED, name) for name in signal_names(run, APPLIED)},
         tracked=tracked_among(known.plant if known is not None else None, outputs),
     )
-    return RunView(
-        run=run, experiment=known, period_s=_period_of(run, known), signals=signals, marks=_marks(run), known_rig=rig
-    )  # fmt: skip
+    return RunView(run=run, experiment=known, period_s=_period_of(run, known), signals=signals, marks=_marks(run), known_rig=rig)
 
 
 def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:

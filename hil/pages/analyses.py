@@ -95,12 +95,7 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     intro = f"The law: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
         f"{note}." for note in (*tested, capital(latencies_text(fit)), *said["notes"])
     )
-    return Section(
-        title=capital(WAYS[way]),
-        intro=intro,
-        blocks=tuple(blocks),
-        columns=2,
-    )
+    return Section(title=capital(WAYS[way]), intro=intro, blocks=tuple(blocks), columns=2)
 
 
 def _chance(p: float) -> str:

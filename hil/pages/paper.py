@@ -25,9 +25,7 @@ GREY = 7
 """The colour number of what is no curve of its own: the reference."""
 
 
-def write_figures(
-    sections: Sequence[Section], folder: Path, *, width_mm: float = 85.0, height_mm: float = 55.0
-) -> list[Path]:
+def write_figures(sections: Sequence[Section], folder: Path, *, width_mm: float = 85.0, height_mm: float = 55.0) -> list[Path]:
     """Write every plot of a report as SVG and PDF, and return the files.
 
     Args:

@@ -62,10 +62,7 @@ LAW: Final = {
     "start": "a method that returns the running law",
 }
 AGE: Final = {"max_age": "the largest age in slots that draw() returns, a whole number"}
-PACKET: Final = {
-    "reordering": "whether a packet may overtake an earlier one",
-    "queue": "the largest number of packets in flight",
-}
+PACKET: Final = {"reordering": "whether a packet may overtake an earlier one", "queue": "the largest number of packets in flight"}
 PERIOD_S, DEADLINE_S, SLOTS = 0.01, 0.006, 400
 
 

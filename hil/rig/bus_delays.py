@@ -170,14 +170,10 @@ def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: Response
     slots = range(begin, begin + cycle)
     sensor = [late(0, (k - phase) // every) if k >= phase and (k - phase) % every == 0 else None for k in slots]
     control = [late(1, k) for k in slots] if len(ends) > 1 else []
-    return BusDelays(
-        sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1])
-    )
+    return BusDelays(sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1]))
 
 
-def _from_any_offset(
-    rig: RigSpec, bus: SharedMedium, rows: int | None, timed: Sequence[PeriodicMessage], why: str
-) -> BusDelays:  # fmt: skip
+def _from_any_offset(rig: RigSpec, bus: SharedMedium, rows: int | None, timed: Sequence[PeriodicMessage], why: str) -> BusDelays:
     """Return the bounds that hold whatever the offsets are: the critical instant for every packet."""
     from transport.can_analysis import response_times
 

@@ -83,9 +83,7 @@ def chains_for(rig: RigSpec, controller: object) -> Chains:
     return chains_of(rig, sojourns if len(rig.sensors) == 1 else (), ages, row_sojourns)
 
 
-def chains_of(
-    rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[int] = (), row_sojourns: int = 1
-) -> Chains:
+def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[int] = (), row_sojourns: int = 1) -> Chains:
     """Return the delay chains of a rig.
 
     Args:

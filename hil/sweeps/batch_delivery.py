@@ -209,9 +209,7 @@ def _repeated(one: Delivered, runs: int) -> Delivered:
     )
 
 
-def _one_run(
-    loop: Loop, seed: int, run: int, arrivals: Sequence[list[tuple[int, int, int]]], packets: NDArray[np.int64]
-) -> int:
+def _one_run(loop: Loop, seed: int, run: int, arrivals: Sequence[list[tuple[int, int, int]]], packets: NDArray[np.int64]) -> int:
     """Ask the medium of one run, slot by slot, as a rig does; return the last slot of which it said something."""
     medium = sensor_medium_of(loop, seed)
     clocks = [clock_of(sensor, seed) for sensor in loop.rig.sensors]

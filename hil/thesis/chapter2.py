@@ -9,13 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed import (
-    CHAPTER2_BOUNDARY_S,
-    chapter2_gain,
-    chapter2_process,
-    chapter2_reference_gain,
-    chapter2_system,
-)
+from design.as_printed import CHAPTER2_BOUNDARY_S, chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
 from design.as_printed.chapters_2_to_4 import PrintedRequest, printed_stability
 from design.processes.partitions import Partition, equal_probability, rate_threshold, uniform
 from design.processes.rates import PiecewiseLinearRate, constant_rate

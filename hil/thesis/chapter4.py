@@ -14,13 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed import (
-    chapter4_gain,
-    chapter4_partitioned_gain,
-    chapter4_rate_knots,
-    chapter4_seen_gain,
-    chapter4_system,
-)
+from design.as_printed import chapter4_gain, chapter4_partitioned_gain, chapter4_rate_knots, chapter4_seen_gain, chapter4_system
 from design.as_printed.chapters_2_to_4 import detection_section
 from design.errors import Infeasible
 from design.processes.rates import PiecewiseLinearRate

@@ -181,9 +181,7 @@ def in_order(messages: Sequence[PeriodicMessage], rates: BitRates) -> list[InUni
     return order
 
 
-def response_times(
-    messages: Sequence[PeriodicMessage], rates: BitRates, errors: ErrorBursts | None = None
-) -> list[ResponseTime]:  # fmt: skip
+def response_times(messages: Sequence[PeriodicMessage], rates: BitRates, errors: ErrorBursts | None = None) -> list[ResponseTime]:
     r"""Return the bound of every message, in order of priority.
 
     Of message m, with :math:`C` the longest frames with intermission, T periods, J jitters and hp(m) the messages that win over

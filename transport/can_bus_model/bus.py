@@ -14,15 +14,7 @@ from typing import Final, NamedTuple
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import INTERMISSION, wire_bits
 from transport.can_bus_model.disturbances import Noise, destroyed_bits
-from transport.can_bus_model.node import (
-    BUS_OFF,
-    RECESSIVE_BITS,
-    RECOVERY_SEQUENCES,
-    SUSPENDED_BITS,
-    CanNode,
-    Waiting,
-    collide,
-)
+from transport.can_bus_model.node import BUS_OFF, RECESSIVE_BITS, RECOVERY_SEQUENCES, SUSPENDED_BITS, CanNode, Waiting, collide
 
 Memory = tuple[int, int, list[int], list[tuple[int, int]]]
 """What a bus remembers: since when it is idle and recessive, who is off, and who does not send before when."""

@@ -112,9 +112,7 @@ def is_testable(law: NetworkLaw) -> bool:
     return isinstance(law, RecordedLaw | SemiMarkovLaw | MarkovModes)
 
 
-def _evidence(
-    law: NetworkLaw, modes: Modes, draws: Records | None, slot: tuple[float, float] | None
-) -> Iterator[Evidence]:
+def _evidence(law: NetworkLaw, modes: Modes, draws: Records | None, slot: tuple[float, float] | None) -> Iterator[Evidence]:
     if isinstance(law, RecordedLaw):
         ages, served = law.recorded(), slots_served(law)
         enough = served is None or len(modes) <= served

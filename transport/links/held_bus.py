@@ -286,9 +286,7 @@ def restored(state: SavedBus) -> CanBus:
     bus = CanBus(rates, made)
     now = []
     for start, end, idle, error_bit, places in sending:
-        senders = tuple(
-            (i, _waiting(each) if place is None else bus.nodes[i].waiting.frames[place]) for i, place, each in places
-        )  # fmt: skip
+        senders = tuple((i, _waiting(each) if place is None else bus.nodes[i].waiting.frames[place]) for i, place, each in places)
         now.append((Transmission(senders[0][0], senders[0][1], start, end, idle, error_bit, senders[1:]), senders))
     bus.remember(memory, now)
     return bus

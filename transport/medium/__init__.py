@@ -177,9 +177,7 @@ class SampleClock:
     [1, 4, 7]
     """
 
-    def __init__(
-        self, *, every: int = 1, phase: int | None = 0, jitter: int = 0, rng: np.random.Generator | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, *, every: int = 1, phase: int | None = 0, jitter: int = 0, rng: np.random.Generator | None = None) -> None:
         if every < 1:
             raise FieldError("every", f"{every} slots, expected at least 1")
         if not 0 <= jitter < every:

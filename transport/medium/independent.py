@@ -139,9 +139,7 @@ class PacketImpairment:
     packet waits for those sent before it.
     """
 
-    def __init__(
-        self, process: PacketProcess, *, period_s: float, reordering: bool, queue: int, first: int = 0
-    ) -> None:  # fmt: skip
+    def __init__(self, process: PacketProcess, *, period_s: float, reordering: bool, queue: int, first: int = 0) -> None:
         self._process = process
         self._period_s = period_s
         self._reordering = reordering
@@ -203,9 +201,7 @@ class PacketImpairment:
         return offered.slot, offered.packet
 
 
-def impair(
-    law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_s: float, first: int = 0
-) -> Impairment:  # fmt: skip
+def impair(law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_s: float, first: int = 0) -> Impairment:
     """Return the emulated network of one direction under a law.
 
     Args:

@@ -149,9 +149,7 @@ def _frame(ticks: Sequence[float], y_of: Callable[[float], float], x_label: str,
 
 def _axis_labels(x: float, bottom: float, x_label: str, y: float, y_label: str) -> list[str]:
     upright = _label("axis-label", 0, 0, "middle", y_label)
-    return [
-        _label("axis-label", x, bottom, "middle", x_label), f'<g transform="translate(13 {y:.0f}) rotate(-90)">{upright}</g>'
-    ]  # fmt: skip
+    return [_label("axis-label", x, bottom, "middle", x_label), f'<g transform="translate(13 {y:.0f}) rotate(-90)">{upright}</g>']
 
 
 def _label(kind: str, x: float, y: float, anchor: str, text: str) -> str:

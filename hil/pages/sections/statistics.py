@@ -166,9 +166,7 @@ def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
         title, x_label = f"{capital(way)}: how long mode {mode} lasted", f"slots with {symbol} in mode {mode}"
         names = [*(str(n) for n in range(1, longest + 1)), f"> {longest}"]
         note = f"{text_of(int(mine.size))} whole sojourns."
-        blocks.append(
-            _shares(title, counted, ("sojourn law", stated), x_label, of="sojourns", note=note, categories=names)
-        )
+        blocks.append(_shares(title, counted, ("sojourn law", stated), x_label, of="sojourns", note=note, categories=names))
     return blocks
 
 

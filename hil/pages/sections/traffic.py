@@ -59,9 +59,7 @@ def sensor_nodes(view: RunView) -> Section | None:
         if any(chosen(piece).any() for piece in pieces(draws)):
             sent_s = partial(_sent_s, view.period_s)
             sent_by.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
-    ages = tuple(
-        Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i) for i, name in enumerate(names)
-    )
+    ages = tuple(Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i) for i, name in enumerate(names))
     rows: list[list[Cell]] = [
         [load.node, ", ".join(outputs[i] for i in own.outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
         for own, load in zip(sensors, view.once(loads))

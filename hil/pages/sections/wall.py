@@ -154,9 +154,7 @@ def _margin(view: RunView, loop: Loop, controller: WallController) -> Figure | N
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     own = _delay(view, loop)
     delays = list(range(own + FURTHER + 1))
-    felt = HapticLoop(
-        device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0
-    )
+    felt = HapticLoop(device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0)
     wall = controller.wall
     curves = [
         Series(

@@ -84,9 +84,7 @@ class ActuatorNode:
         row_sojourns: lengths of stay at d that have a row each.
     """
 
-    def __init__(
-        self, inputs: int, d_max: int, safety: Safety, damper: PortDamper | None = None, row_sojourns: int = 1
-    ) -> None:
+    def __init__(self, inputs: int, d_max: int, safety: Safety, damper: PortDamper | None = None, row_sojourns: int = 1) -> None:
         self._d_max, self._safety, self._damper = d_max, safety, damper
         self._row_sojourns, self._remembered = row_sojourns, max(d_max + 2, row_sojourns)
         self._command: tuple[float, ...] = (0.0,) * inputs  # without what the damper adds

@@ -17,16 +17,7 @@ from design.jump_linear.bounded_real import (
 from design.jump_linear.second_moment import Resolvent, expect
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
-from tests.design.chapter7 import (
-    LAMBDA,
-    MOTOR,
-    PI,
-    PRINTED_H2,
-    PRINTED_HINF,
-    PRINTED_VTOL_HINF,
-    VTOL,
-    VTOL_R,
-)
+from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_H2, PRINTED_HINF, PRINTED_VTOL_HINF, VTOL, VTOL_R
 
 # The discretisation printed for the motor, which is none of the plant at any sample period.
 PRINTED_MOTOR = (np.array([[1.00021, 0.00460], [0.00460, 0.00004]]), np.array([[0.34868], [7.68069]]), MOTOR[2])

@@ -17,16 +17,7 @@ from design.jump_linear.second_moment import (
 )
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
-from tests.design.chapter7 import (
-    LAMBDA,
-    MOTOR,
-    PI,
-    PRINTED_H2,
-    PRINTED_HINF,
-    PRINTED_VTOL_H2,
-    VTOL,
-    VTOL_R,
-)
+from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_H2, PRINTED_HINF, PRINTED_VTOL_H2, VTOL, VTOL_R
 
 
 def random_family(rng, N, n):

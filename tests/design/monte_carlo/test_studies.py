@@ -10,13 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from design.as_printed import (
-    CHAPTER2_START,
-    chapter2_gain,
-    chapter2_process,
-    chapter2_reference_gain,
-    chapter2_system,
-)
+from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, settling_times, trajectories

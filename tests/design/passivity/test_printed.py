@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from design.as_printed.chapters_5_and_6 import (
-    DELAY,
-    LAMBDA,
-    inner_loop,
-    meets_printed_attenuation,
-    meets_printed_condition,
-)
+from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, inner_loop, meets_printed_attenuation, meets_printed_condition
 from design.controllers.rendered_wall import static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
 from design.errors import FieldError

@@ -8,13 +8,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from design.as_printed import (
-    chapter4_gain,
-    chapter4_partitioned_gain,
-    chapter4_process,
-    chapter4_seen_gain,
-    chapter4_system,
-)
+from design.as_printed import chapter4_gain, chapter4_partitioned_gain, chapter4_process, chapter4_seen_gain, chapter4_system
 from design.as_printed.chapters_2_to_4 import detection_section, free_gains
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError, Infeasible

@@ -10,13 +10,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.special import erf, erfcx
 
-from design.as_printed import (
-    CHAPTER2_BOUNDARY_S,
-    chapter2_gain,
-    chapter2_process,
-    chapter2_reference_gain,
-    chapter2_system,
-)
+from design.as_printed import CHAPTER2_BOUNDARY_S, chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
 from design.as_printed.chapters_2_to_4 import printed_stability
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.lmi import prove

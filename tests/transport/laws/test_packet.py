@@ -22,16 +22,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from tests.transport.medium.test_independent import run
-from transport.draws import (
-    ABSENT,
-    DELIVERED,
-    DISORDERED,
-    DUPLICATED,
-    LOST,
-    NO_MODE,
-    REASONS,
-    SENT,
-)
+from transport.draws import ABSENT, DELIVERED, DISORDERED, DUPLICATED, LOST, NO_MODE, REASONS, SENT
 from transport.errors import FieldError
 from transport.laws import load_files, prepare, slots_served
 from transport.laws.delay_states import long_run
