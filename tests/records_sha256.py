@@ -18,8 +18,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.jump_linear import MJLS
 from design.monte_carlo import JUMPS, uniforms
 from design.monte_carlo.jump_loop import JumpLoop
-from design.monte_carlo.markov_batch import mjls_energies
-from design.monte_carlo.studies import settling_times
+from design.monte_carlo.studies import mjls_energies, settling_times
 from design.processes.elementary import log
 from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.rates import WeibullRate, clip_rate

@@ -17,8 +17,8 @@ from hil.log.topics import channels_of
 from hil.log.write import MemorySink, Sink
 from hil.rig.loop import Loop
 from hil.runtime.clock import Clock, Kernel
+from hil.runtime.nodes import failure_of
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.failed_part import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
 from transport.draws import REASONS

@@ -31,7 +31,7 @@ from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, link_of, no_link, refuse_undisturbed, refuse_unopened
 from hil.runtime.clock import Clock, monotonic_ns, wall_clock
-from hil.runtime.nodes.failed_part import failure_of
+from hil.runtime.nodes import failure_of
 from hil.runtime.real import machine
 from hil.runtime.real.ending import Forced, StopSignals
 from hil.runtime.virtual import rehearsal, run_virtual, simulate_as_logged

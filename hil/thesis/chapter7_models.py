@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
-from design.monte_carlo.markov_batch import mjls_energies
+from design.monte_carlo.studies import mjls_energies
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve

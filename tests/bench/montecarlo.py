@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
 from design.monte_carlo import Workers
 from design.monte_carlo.jump_loop import JumpLoop
-from design.monte_carlo.markov_batch import mjls_energies
-from design.monte_carlo.studies import CHUNK, mean_states, settling_times
+from design.monte_carlo.studies import CHUNK, mean_states, mjls_energies, settling_times
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov

@@ -30,7 +30,7 @@ from design.jump_linear import MJLS
 from design.lmi import prove, prove_inequalities
 from design.monte_carlo.confidence import deviation_interval, mean_interval
 from design.monte_carlo.jump_loop import JumpLoop
-from design.monte_carlo.markov_batch import mjls_energies
+from design.monte_carlo.studies import mjls_energies
 from design.networked_loop import check_plant_shapes
 from design.networked_loop.closed_loop import dynamic_loop
 from design.passivity.transparency import distortion

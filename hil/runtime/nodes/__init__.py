@@ -1,5 +1,7 @@
 r"""What a slot is made of: rig, controller node, safety. Nodes do no I/O and read no clock. Here is the randomness of a session.
 
+And which exceptions of a run are those of a part of its loop (`failure_of`), and what they say.
+
 Each part draws from a random stream of its own name, so that adding a component never shifts another's draws.
 
 A process that knows the past nonces of a session cannot compute the next, and can check that it is genuine.
@@ -17,13 +19,19 @@ TESLA broadcast authentication protocol, RSA CryptoBytes 5 (2002) 2-13.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from hashlib import sha256
 from typing import Final
 
 import numpy as np
 from msgspec import Struct
+
+from hil.log import PLANT_FAILED, PLUG_IN_FAILED
+from hil.plugins.user_plugins import user_failure
+from hil.rig.loop import Loop
+from plants.errors import PlantError
 
 
 def rng_for(seed: int, name: str) -> np.random.Generator:
@@ -130,3 +138,35 @@ class _Chain:
         elif self._left:
             self._step()
         return int.from_bytes(self._now[at * _BYTES : (at + 1) * _BYTES], "little")
+
+
+def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, str] | None:
+    """Return the kind of the event that an exception is, and what it says; None for one that no part of the loop raised.
+
+    Args:
+        loop: what ran.
+        error: as it was caught.
+        others: what ran beside it and may be a user's own, such as the link.
+    """
+    if isinstance(error, PlantError):
+        return PLANT_FAILED, str(error)
+    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
+    text = None if isinstance(error, KeyboardInterrupt) else user_failure(error, parts)
+    return None if text is None else (PLUG_IN_FAILED, text.encode("utf-8", "backslashreplace").decode())
+
+
+@contextmanager
+def failing(loop: Loop, said: Callable[[str, str], object], *others: object) -> Iterator[None]:
+    """Say which part of a loop raised within, and what; any other exception goes on.
+
+    Args:
+        loop, others: as of `failure_of`.
+        said: called with what that returns.
+    """
+    try:
+        yield
+    except BaseException as error:
+        failure = failure_of(loop, error, *others)
+        if failure is None:
+            raise
+        said(*failure)

@@ -22,8 +22,8 @@ from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
+from hil.runtime.nodes import failing
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.failed_part import failing
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open
 from hil.runtime.real.ending import useless, useless_frames

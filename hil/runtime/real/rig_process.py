@@ -21,9 +21,8 @@ from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, about_rig, link_faults
 from hil.runtime.changes import ChangeReceiver, log_change, log_late, take
 from hil.runtime.clock import Kernel, RealClock, monotonic_ns, wall_clock_ns
-from hil.runtime.nodes import KEY_BYTES, Wire, session_wire
+from hil.runtime.nodes import KEY_BYTES, Wire, failing, session_wire
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.failed_part import failing
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open

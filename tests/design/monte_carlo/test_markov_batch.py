@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from design.jump_linear import MJLS, h2_norm
-from design.monte_carlo.markov_batch import CHUNK, mjls_energies
+from design.monte_carlo.studies import CHUNK, mjls_energies
 from design.networked_loop.closed_loop import loop_structure
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF
 

@@ -17,8 +17,7 @@ from design.errors import DesignError
 from design.jump_linear import MJLS
 from design.monte_carlo import CHAIN, JUMPS, DrawTable, Workers, _cancel, spread, uniforms
 from design.monte_carlo.jump_loop import JumpLoop
-from design.monte_carlo.markov_batch import mjls_energies
-from design.monte_carlo.studies import CHUNK, mean_states, settling_times
+from design.monte_carlo.studies import CHUNK, mean_states, mjls_energies, settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov
 from tests.waiting import LIMIT_S
