@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.errors import FieldError, require_not_negative, require_rows, require_vector, require_whole_nanoseconds
 from plants.parts import NS_PER_S, DiscreteStateSpace, Matrix, Signal
@@ -134,23 +133,23 @@ class DelayedStates:
         """Return A, B and the measured state; the delayed states are in `state_delays`."""
         return DiscreteStateSpace(A=self.A, B=self.B, C=np.eye(len(self.A)), period_s=self.period_s)
 
-    def state_delays(self) -> NDArray[np.float64]:
+    def state_delays(self) -> Matrix:
         """Return A_1, ..., A_tau, (tau, n, n)."""
         n = len(self.A)
         return np.array(self.delayed, dtype=np.float64).reshape(len(self.delayed), n, n)
 
-    def cost_weights(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def cost_weights(self) -> tuple[Matrix, Matrix]:
         """Return Xi, (n, n), and Xi_u, (m, m)."""
         m = len(self.inputs)
         return np.array(self.weight), np.array(self.input_weight) if self.input_weight else np.zeros((m, m))
 
-    def state_history(self) -> NDArray[np.float64]:
+    def state_history(self) -> Matrix:
         """Return x(-1), ..., x(-tau), (tau, n)."""
         history = np.zeros((len(self.delayed), len(self.A)))
         history[: len(self.initial_history)] = np.array(self.initial_history).reshape(-1, len(self.A))
         return history
 
-    def sensor_noise(self) -> NDArray[np.float64]:
+    def sensor_noise(self) -> Matrix:
         """Return the standard deviation of the noise on every output, (n,)."""
         return np.array(self.noise_sd) if self.noise_sd else np.zeros(len(self.A))
 

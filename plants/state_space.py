@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.errors import FieldError, PlantError, require_not_negative, require_positive, require_rows, require_whole_nanoseconds
-from plants.parts import DiscreteStateSpace, Signal, StateSpace, python_control
+from plants.parts import DiscreteStateSpace, Matrix, Signal, StateSpace, python_control
 from plants.parts.exponential import Rows
 from plants.parts.linear_run import DrivenRun, LinearRun, LinearRuns, NoisyRun
 from plants.parts.protocols import Departure, Plant, PlantRun
@@ -113,7 +112,7 @@ class LinearPlant:
         """Return the process noise, where there is one."""
         return ("process noise",) if any(self.process_noise) else ()
 
-    def sensor_noise(self) -> NDArray[np.float64]:
+    def sensor_noise(self) -> Matrix:
         """Return the standard deviation of the noise on every output, (p,)."""
         return np.array(self.measurement_noise) if self.measurement_noise else np.zeros(len(self.C))
 

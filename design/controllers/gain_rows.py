@@ -14,13 +14,11 @@ import numpy.typing as npt
 from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection
-from design.controllers.exact_products import dot, of_size_one, pseudo_inverse, rank_of
+from design.controllers.exact_products import Matrix, dot, of_size_one, pseudo_inverse, rank_of
 from design.errors import DesignError
 
-Matrix = NDArray[np.float64]
 
-
-def nested(array: NDArray[np.float64]) -> Any:
+def nested(array: Matrix) -> Any:
     """Return an array as the nested tuples that an experiment file holds."""
     return _tuples(array.astype(np.float64).tolist())
 
@@ -143,7 +141,7 @@ class GainRows:
 
     def __init__(
         self,
-        K: NDArray[np.float64],
+        K: Matrix,
         selection: Selection,
         model: LoopModel,
         integral: bool = False,

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.controllers import LoopModel, Rows, RowsLaw, RunningController, Selection, feedforward
 from design.controllers.contract import KnownInBatch
-from design.controllers.exact_products import product, product_of_batch
+from design.controllers.exact_products import Matrix, product, product_of_batch
 from design.errors import FieldError
 
 
@@ -109,7 +108,7 @@ class BatchSmith:
     selection: Selection = "applied"
     memory: int | None = None
 
-    def __init__(self, K: NDArray[np.float64], model: LoopModel, runs: int) -> None:
+    def __init__(self, K: Matrix, model: LoopModel, runs: int) -> None:
         self._K, self._omega = K.tolist(), feedforward(model).tolist()
         self._AB = np.hstack([model.A, model.B]).tolist()
         self._C, self._d_max = model.C.tolist(), model.d_max
@@ -119,7 +118,7 @@ class BatchSmith:
         self._held = np.ones(runs, dtype=np.intp)
         self._ran = np.zeros(runs, dtype=np.bool_)
 
-    def rows(self, k: int, known: KnownInBatch) -> NDArray[np.float64]:
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
         """Return the rows of slot k, (rows, m, runs); see `BatchGainRows.rows`."""
         self._x = np.where(self._ran, product_of_batch(self._AB, (*self._x, *self._u)), self._x)
         self._newest = (self._newest - 1) % len(self._past)

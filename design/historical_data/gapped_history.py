@@ -14,9 +14,8 @@ from msgspec.structs import replace
 
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Uses, window_of
 from design.errors import FieldError
+from design.historical_data import Array
 from design.historical_data.sensor_schedule import Mask, lossy, phase_chain, phases_at_start, undecided_because, with_lost_turns
-
-Array = npt.NDArray[np.float64]
 
 MOST_PHASES = 512
 MOST_NUMBERS = 700_000  # in the matrices of all phases; a certificate of these takes some seconds

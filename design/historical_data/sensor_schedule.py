@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
 from design.errors import FieldError
-from design.historical_data import cycle
+from design.historical_data import Array, cycle
 
 Mask = npt.NDArray[np.bool_]
-Array = npt.NDArray[np.float64]
 
 
 def round_robin(states: int, *, buffer: int, delay: int = 0) -> SensorNodes:

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.errors import DesignError, FieldError
+from design.identification import Array
 
 LEVEL: Final = 0.95
 FASTEST: Final = 0.1
 """Jumps per sample up to which the bounds hold: with more, jumps are missed in all orders."""
-Array = NDArray[np.float64]
 Modes = NDArray[np.int64]
 
 

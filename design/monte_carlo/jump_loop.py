@@ -26,12 +26,11 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
-from design.monte_carlo import JUMPS, PARAMETERS, DrawTable, uniforms
+from design.monte_carlo import JUMPS, PARAMETERS, DrawTable, FloatArray, uniforms
 from design.processes.elementary import log, product
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem, NormBounded, VertexUncertainty
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 PARAMETER_PAGE = 4
 PAGE = 16

@@ -37,11 +37,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from design.errors import DesignError
+from design.networked_loop import Array
 
-Array = npt.NDArray[np.float64]
 EQUAL = 1e-11
 """An eigenvalue as near to 1 counts as an integrator's."""
 SHOWN = 1e-9

@@ -30,9 +30,9 @@ from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.rendered_wall import Coupler
+from design.passivity import Array
 
 SHORT_BITS = 36  # a first try with short numbers; where it proves nothing, the numbers as given decide
 
@@ -180,9 +180,6 @@ def _changes(chain: Sequence[Integers], x: int) -> int:
     """How often the sign changes along a chain at x, zeros left out."""
     signs = [v > 0 for v in (_at(c, x) for c in chain) if v != 0]
     return sum(a != b for a, b in pairwise(signs))
-
-
-Array = npt.NDArray[np.float64]
 
 
 def cosine_coefficients(coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, *delays: int) -> list[Fraction]:

@@ -18,9 +18,8 @@ from design.controllers.rendered_wall import LinearInContact
 from design.controllers.virtual_wall import ModelFollowing
 from design.controllers.wall import Material, Wall
 from design.errors import DesignError
-from design.passivity import HeldDevice
+from design.passivity import Array, HeldDevice
 
-Array = npt.NDArray[np.float64]
 MOST_STEPS = 20_000
 
 

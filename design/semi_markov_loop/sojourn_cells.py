@@ -17,12 +17,11 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from design.semi_markov_loop import FloatArray
 from design.semi_markov_loop.period_moments import congruence, growth_bound, period_moments, smat, svec, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, rates_by_age
 
-FloatArray = npt.NDArray[np.float64]
 FINEST = 32
 """Most cells in a period."""
 WORK = 4e9

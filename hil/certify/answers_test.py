@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows, Sample, SensorNodes
 from hil.certify.motion_test import so_far
-from hil.rig.loop import EQUAL, Running
+from hil.rig.loop import EQUAL, Array, Running
 
-Array = NDArray[np.float64]
 Start = Callable[[], Running]
 
 SLOTS = 120

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, integral_limit
 from design.errors import DesignError, NotStable
@@ -22,6 +21,7 @@ from design.jump_linear import STABILITY_MARGIN
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SLOTS, drive, random_inputs
+from hil.rig.loop import Array
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 if TYPE_CHECKING:
@@ -29,10 +29,9 @@ if TYPE_CHECKING:
 
     from hil.certify.region import ClosedLoop
 
-    Modes = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ClosedLoop]
+    Modes = Callable[[Array, Array, Array], ClosedLoop]
     """Makes the closed loop of a plant (A, B, C)."""
 
-Array = NDArray[np.float64]
 PARTS = 16
 """Parts of a slot over which the motion of an input that changes within the slot is bounded."""
 ROUNDING, LARGEST = 1e-9, 1e12

@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from design.controllers import LoopModel
 from design.verdict import State, Verdict
@@ -41,7 +40,7 @@ from hil.certify.motion_test import (
 from hil.certify.stated_controller import answers_of
 from hil.plugins import is_ours
 from hil.plugins.user_plugins import user_failure, words
-from hil.rig.loop import EQUAL, FreeMotion, OneStep
+from hil.rig.loop import EQUAL, Array, FreeMotion, OneStep
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 NOISY = "noise acts on it, which scatters the motion around the one that is judged"
@@ -226,7 +225,6 @@ def _moved(motion: FreeMotion, plant: Plant, departures: Sequence[Departure], un
     return None, (alike, *extra)
 
 
-Array = NDArray[np.float64]
 LARGEST_POLYNOMIAL = 12
 """States of a model up to which its outputs alone foretell its outputs: the polynomial of more loses its digits."""
 

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.sensor_nodes import Uses, window_of
 from design.verdict import Kind, Verdict
 from hil.certify import CertificationProblem, limited_to_model, undecided, why_no_history
 from hil.errors import HilError
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
@@ -124,13 +123,13 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     return limited_to_model(loop.plant, known, knows_state_delays=True)
 
 
-def known_past(plant: Plant) -> NDArray[np.float64]:
+def known_past(plant: Plant) -> Array:
     """Return x(0), x(-1), ... as the plant starts, (h, n); what lies before is zero."""
     x0 = np.array(plant.start(np.random.default_rng(0)).state)
     return np.vstack([x0, plant.state_history()]) if isinstance(plant, HasStateHistory) else x0[None]
 
 
-def _least_cost(plant: Plant, delayed: DelayedPlant, history: NDArray[np.float64]) -> dict[str, float]:
+def _least_cost(plant: Plant, delayed: DelayedPlant, history: Array) -> dict[str, float]:
     """Return what no controller goes below, whatever else is unknown; nothing where the plant is more than its model."""
     from design.errors import Infeasible
     from design.historical_data.cost_bounds import full_state_bound
@@ -198,7 +197,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     return found
 
 
-def _any_start(nodes: SensorNodes, uses: Uses, K: NDArray[np.float64]) -> tuple[Start, PhaseGains]:
+def _any_start(nodes: SensorNodes, uses: Uses, K: Array) -> tuple[Start, PhaseGains]:
     """Return a start from x(0) ~ N(0, I) in any turn, and the gains of all phases."""
     from design.historical_data.gapped_history import phase_gains
     from design.historical_data.guaranteed_cost import Start
@@ -211,7 +210,7 @@ def _any_start(nodes: SensorNodes, uses: Uses, K: NDArray[np.float64]) -> tuple[
     return Start(moment=np.eye(K.shape[-1]), phases=np.mean([one.start for one in each], axis=0)), each[0]
 
 
-def _orders(plant: DelayedPlant, nodes: SensorNodes, K: NDArray[np.float64], name: str) -> list[dict[str, Any]]:
+def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Array, name: str) -> list[dict[str, Any]]:
     from design.historical_data.guaranteed_cost import average_start
     from design.historical_data.least_cost import orders_by_cost
 

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from design.controllers import LoopModel, ModeSchedule
 from design.controllers.contract import StatesConstraint
 from design.errors import DesignError, NotInstalled
 from design.verdict import Kind, Verdict
 from hil.certify import CertificationProblem, limited_to_model, undecided
-from hil.rig.loop import JumpStep
+from hil.rig.loop import Array, JumpStep
 from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
@@ -240,9 +239,6 @@ def _with_continuous_time(
     return msgspec.structs.replace(
         verdict, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest
     )
-
-
-Array = NDArray[np.float64]
 
 
 def jump_step(plant: JumpPlant, model: LoopModel) -> JumpStep | None:

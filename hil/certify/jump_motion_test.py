@@ -15,7 +15,8 @@ from typing import cast
 import numpy as np
 
 from hil.certify import CertificationProblem, Check
-from hil.certify.motion_test import SEED, Array, random_inputs
+from hil.certify.motion_test import SEED, random_inputs
+from hil.rig.loop import Array
 from plants.parts.protocols import JumpPlant, PlantRun
 from plants.parts.semi_markov import JumpModel, JumpRates
 

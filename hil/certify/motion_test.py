@@ -13,14 +13,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from design.controllers import LoopModel
 from design.verdict import State
-from hil.rig.loop import CANCELS, EQUAL, LARGEST, Free, FreeMotion, kind_of
+from hil.rig.loop import CANCELS, EQUAL, LARGEST, Array, Free, FreeMotion, kind_of
 from plants.parts.protocols import Plant
-
-Array = NDArray[np.float64]
 
 SLOTS = 200
 """Slots of every run of the test; fewer where a motion grows beyond what floats resolve."""

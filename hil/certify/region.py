@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from design.controllers import GainTable, packet_samples, row_sojourns_distinguished, sojourns_distinguished
 from design.errors import DesignError
@@ -25,9 +24,9 @@ from design.verdict import Verdict
 from hil.certify import CertificationProblem
 from hil.certify.motion_test import SEED
 from hil.plugins import is_ours
+from hil.rig.loop import Array
 from plants.parts.protocols import HasOwnInputs, HasSensorNoise
 
-Array = NDArray[np.float64]
 RISK = 0.01
 """Largest probability of leaving at which a run is certified."""
 RISKS = (RISK, 0.1)

@@ -11,7 +11,8 @@ from design.controllers import GainTable, integral_limit, integrates, packet_sam
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, table_of
-from hil.certify.region import Array, ClosedLoop, first_state, largest_disturbance, not_judged
+from hil.certify.region import ClosedLoop, first_state, largest_disturbance, not_judged
+from hil.rig.loop import Array
 from plants.parts.protocols import HasOwnInputs
 
 ROUNDING = 1e-6

@@ -31,6 +31,7 @@ from design.verdict import Verdict
 from hil.certify import CertificationProblem, jumping, limited_to_model, table_of, undecided
 from hil.certify.bounded_departures import ends_within
 from hil.rig.delay_chains import gains_within
+from hil.rig.loop import Array
 from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
@@ -88,9 +89,6 @@ def in_every_order(loop: CertificationProblem, sc: DelayChain, ca: DelayChain, m
 def _range(chain: DelayChain) -> str:
     ages: NDArray[np.int64] = chain.delay
     return str(ages.min()) if ages.min() == ages.max() else f"{ages.min()} to {ages.max()}"
-
-
-Array = NDArray[np.float64]
 
 
 def certify_send_all(loop: CertificationProblem) -> Verdict | None:

@@ -14,7 +14,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from design.controllers import (
     GainTable,
@@ -28,7 +27,7 @@ from design.controllers import (
 )
 from design.controllers.gain_rows import sojourn_ranges
 from hil.errors import HilError
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 from hil.rig.sensors import Sensor
 from hil.rig.session_link import SessionLink, link_of, rig_dbc
 from transport.links.traits import framing_options, with_options
@@ -232,9 +231,9 @@ class LawTables(Struct, frozen=True, kw_only=True, eq=False):
         why_none: why the tables hold zeros; empty where they are the controller's.
     """
 
-    omega: NDArray[np.float64]
-    gains: NDArray[np.float64]
-    state: NDArray[np.float64]
+    omega: Array
+    gains: Array
+    state: Array
     state_first: bool
     samples: int
     ages: tuple[int, ...]

@@ -8,7 +8,7 @@ runs instead of one log each.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +17,8 @@ from msgspec import Struct
 from design.controllers import LoopModel, Selection
 from design.controllers.contract import KnownInBatch
 from hil.experiment import Experiment
-from hil.measure.signals import Signals
+from hil.measure.signals import Array, Signals
 from hil.rig import RigSpec
-
-BatchValues: TypeAlias = npt.NDArray[np.float64]
 
 
 class BatchView(Struct, frozen=True, kw_only=True):
@@ -40,16 +38,16 @@ class BatchView(Struct, frozen=True, kw_only=True):
         packets: how many each sensor node has sent, (nodes, runs); None unless a measure names the topic of the draws.
     """
 
-    t_s: BatchValues
-    outputs: tuple[BatchValues, ...]
-    reference: BatchValues
-    inputs: tuple[BatchValues, ...]
+    t_s: Array
+    outputs: tuple[Array, ...]
+    reference: Array
+    inputs: tuple[Array, ...]
     period_s: float
     signals: Signals
     disturbed_at_s: float | None
     experiment: Experiment
     rig: RigSpec
-    states: tuple[BatchValues, ...] = ()
+    states: tuple[Array, ...] = ()
     packets: npt.NDArray[np.int64] | None = None
 
 
@@ -57,7 +55,7 @@ class BatchView(Struct, frozen=True, kw_only=True):
 class BatchMeasure(Protocol):
     """A measure that computes its numbers for many runs at once: a sweep whose measures all do need not make a log of each."""
 
-    def of_batch(self, view: BatchView) -> Mapping[str, BatchValues]:
+    def of_batch(self, view: BatchView) -> Mapping[str, Array]:
         """Return its numbers by name, (runs,) each, NaN where `Measure.of` says None; bit for bit those of `Measure.of`."""
         ...
 
@@ -66,15 +64,15 @@ class RunningPlants(Protocol):
     """Many runs of one plant, none of which draws a random number."""
 
     @property
-    def state(self) -> BatchValues:
+    def state(self) -> Array:
         """States now, (n, runs); a new array after every `advance`."""
         ...
 
-    def advance(self, dt_ns: int, u: BatchValues, w: Sequence[float]) -> None:
+    def advance(self, dt_ns: int, u: Array, w: Sequence[float]) -> None:
         """Hold the inputs u (m, runs) and the disturbance w (m,), the same in all runs, for dt_ns."""
         ...
 
-    def measure(self) -> BatchValues:
+    def measure(self) -> Array:
         """Return the outputs now, (p, runs); measuring changes nothing."""
         ...
 
@@ -99,7 +97,7 @@ class RunningControllers(Protocol):
         """Age of the oldest sample that it takes, slots, asked in every slot; None where the newest samples are enough."""
         ...
 
-    def rows(self, k: int, known: KnownInBatch) -> BatchValues:
+    def rows(self, k: int, known: KnownInBatch) -> Array:
         """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing."""
         ...
 

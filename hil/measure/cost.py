@@ -6,14 +6,13 @@ from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.log.append_column import pieces
 from hil.log.topics import SC, SENSOR, STATE
 from hil.measure import Quantity
-from hil.measure.batch_protocols import BatchValues, BatchView
+from hil.measure.batch_protocols import BatchView
 from hil.measure.network_paths import loads, node_loads
-from hil.measure.signals import Signals
+from hil.measure.signals import Array, Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
 from plants.parts.protocols import HasCost
 
@@ -52,7 +51,7 @@ class Cost:
         }
         return {q.name: numbers[q.name] for q in self.quantities(view.signals)}
 
-    def of_batch(self, view: BatchView) -> Mapping[str, BatchValues]:
+    def of_batch(self, view: BatchView) -> Mapping[str, Array]:
         """Return the numbers of many runs, see `BatchMeasure.of_batch`."""
         weights = _weights(view.experiment.plant, len(view.states), len(view.inputs))
         rows = []
@@ -67,13 +66,13 @@ class Cost:
         return {q.name: found[q.name] for q in self.quantities(view.signals)}
 
 
-def _weights(plant: object, n: int, m: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _weights(plant: object, n: int, m: int) -> tuple[Array, Array]:
     return plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
 
 
 def _of_one(
-    states: Iterable[npt.NDArray[np.float64]], inputs: Iterable[npt.NDArray[np.float64]],
-    weights: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
+    states: Iterable[Array], inputs: Iterable[Array],
+    weights: tuple[Array, Array],
 ) -> dict[str, float | None]:  # fmt: skip
     """Return the cost and the largest input of one run, its states (k, n) and inputs (k, m) piece by piece."""
     weight, input_weight = weights
@@ -91,7 +90,7 @@ def _of_one(
     }
 
 
-def _square(z: npt.NDArray[np.float64], weight: npt.NDArray[np.float64]) -> float:
+def _square(z: Array, weight: Array) -> float:
     """Return the sum over k of z_k' W z_k, in one order on every machine."""
     total = 0.0
     for a, row in enumerate(weight.tolist()):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.log.append_column import whole
 from hil.log.topics import STATE
 from hil.measure import Quantity
-from hil.measure.signals import Signals
+from hil.measure.signals import Array, Signals
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 
 LAST_SHARE = 0.1
@@ -55,7 +54,7 @@ class Haptics:
         }
 
 
-def _finite(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _finite(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 

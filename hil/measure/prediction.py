@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from design.controllers import (
     GainTable,
@@ -19,7 +18,7 @@ from design.controllers import (
     row_sojourns_distinguished,
     sojourns_distinguished,
 )
-from hil.measure.signals import AFTER_S, signals_of, target_of
+from hil.measure.signals import AFTER_S, Array, signals_of, target_of
 from hil.measure.tracking import squared_unit
 from hil.rig import motion_of
 from hil.rig.delay_chains import gains_over
@@ -27,7 +26,6 @@ from hil.rig.loop import Loop
 from hil.rig.missing_packets import STOPPED, percent, watchdog_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
 
-Matrix = NDArray[np.float64]
 SAME = 1e-9
 """Two drives are equal if they differ by less than this share of the terms that they are computed from."""
 
@@ -71,8 +69,8 @@ class PredictedTracking(Struct, frozen=True, kw_only=True):
     """
 
     names: tuple[str, ...]
-    error_mean: Matrix
-    error_sd: Matrix
+    error_mean: Array
+    error_sd: Array
     sums: tuple[PredictedSum, ...]
     left_out: tuple[str, ...]
 
@@ -111,7 +109,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     rest = 0 if x0.any() else int(np.argmax(moves)) if moves.any() else slots
     if sum(way.silent(rest) for way in loop.chains.arriving) > SILENT or not _first_rows_known(loop, rest):
         return None
-    goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
+    goal: Array = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]
     starts = {"sse": 0, "sse_after_5s": -(-round(AFTER_S * 1e9) // loop.experiment.period_ns)}
     starts = {name: start for name, start in starts.items() if start < slots}
@@ -184,7 +182,7 @@ def _chance(loop: Loop) -> tuple[bool, bool]:
     return False, measured
 
 
-def drive_of(loop: Loop, slots: int) -> tuple[Matrix, Matrix]:
+def drive_of(loop: Loop, slots: int) -> tuple[Array, Array]:
     """Return the plant's first state (n,) and what acts on it beside its inputs, (slots, n), in states' units.
 
     The plant itself moves, without an input: f(k) = x(k+1) - A x(k) - B w(k). Where it has more than its model, f would not be

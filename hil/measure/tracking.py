@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure import Quantity
-from hil.measure.batch_protocols import BatchValues, BatchView
+from hil.measure.batch_protocols import BatchView
 from hil.measure.signals import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, Followed, Signals, pairwise_sum, target_of
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
@@ -53,7 +53,7 @@ class Tracking:
         found |= dict.fromkeys(without_sense(view.signals))
         return {q.name: found[q.name] for q in self.quantities(view.signals)}
 
-    def of_batch(self, view: BatchView) -> dict[str, BatchValues]:
+    def of_batch(self, view: BatchView) -> dict[str, Array]:
         """Return the numbers of many runs, (runs,) each, NaN where one is not defined."""
         found = tracking_of_batch(view)
         found |= {name: np.full_like(found[name], np.nan) for name in without_sense(view.signals)}
@@ -205,7 +205,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def tracking_of_batch(view: BatchView) -> dict[str, BatchValues]:
+def tracking_of_batch(view: BatchView) -> dict[str, Array]:
     """Return the numbers of `tracking_metrics` for many runs, (runs,) each, NaN for None.
 
     Args:
@@ -239,7 +239,7 @@ def tracking_of_batch(view: BatchView) -> dict[str, BatchValues]:
     return found
 
 
-def _settling_of_batch(t: BatchValues, moved: list[tuple[BatchValues, float]]) -> BatchValues:
+def _settling_of_batch(t: Array, moved: list[tuple[Array, float]]) -> Array:
     inside = np.logical_and.reduce([np.abs(error) <= SETTLING_BAND * abs(step) for error, step in moved])
     after = inside.shape[1] - np.argmin(inside[:, ::-1], axis=1)  # first slot after the last one outside
     after[inside.all(axis=1)] = 0
@@ -247,7 +247,7 @@ def _settling_of_batch(t: BatchValues, moved: list[tuple[BatchValues, float]]) -
     return np.where(stays, t[np.minimum(after, len(t) - 1)] - t[0], np.nan)
 
 
-def _worst_of_batch(means: list[BatchValues]) -> BatchValues:
+def _worst_of_batch(means: list[Array]) -> Array:
     worst = means[0]
     for mean in means[1:]:
         worst = np.where(np.abs(mean) > np.abs(worst), mean, worst)

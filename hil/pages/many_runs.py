@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval
 from hil.measure import Quantity
-from hil.measure.signals import with_unit
+from hil.measure.signals import Array, with_unit
 from hil.pages import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html import capital
 from hil.pages.html.page import Page
@@ -80,7 +79,7 @@ def sweep_page(sweep: Sweep) -> str:
     return compare_page(Comparison(runs=runs, values={name: sweep.values}, quantities=sweep.quantities, cautions=cautions))
 
 
-def _shares(found: Mapping[str, NDArray[np.float64]]) -> list[Series]:
+def _shares(found: Mapping[str, Array]) -> list[Series]:
     """Return empirical distribution functions: each from 0, at the least value of all, to 1, at the largest of all."""
     finite = {name: values[np.isfinite(values)] for name, values in found.items()}
     every = np.concatenate([*finite.values()])

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import EQUAL, Interval, difference_interval, ratio_interval
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.measure import Quantity
-from hil.measure.signals import with_unit
+from hil.measure.signals import Array, with_unit
 from hil.notebook import Result
 from hil.sweeps.seeds import here, quantities_in, run_sweep, seeds_of
 from hil.sweeps.shown import SHORTER, ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
@@ -33,7 +32,7 @@ class Comparison(ShownResult):
     """
 
     runs: int
-    values: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    values: Mapping[str, Mapping[str, Array]]
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
     cautions: Mapping[str, str] = field(default_factory=dict)
@@ -43,7 +42,7 @@ class Comparison(ShownResult):
         """Return the mean difference of an experiment against the first over the seeds that both have, and its 95 % interval."""
         return difference_interval(*self._pairs(name, quantity))
 
-    def _pairs(self, name: str, quantity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _pairs(self, name: str, quantity: str) -> tuple[Array, Array]:
         if name not in self.values:
             raise unknown_name("experiment", name, self.values)
         return pairs(self.values[self.first][quantity], self.values[name][quantity])
@@ -138,7 +137,7 @@ class Comparison(ShownResult):
         return f"{name} is {'worse' if only_own > only_other else 'better'}: safety stopped {counts}"
 
 
-def _change(a: NDArray[np.float64], b: NDArray[np.float64], unit: str) -> str:
+def _change(a: Array, b: Array, unit: str) -> str:
     """The difference of the means, in per cent where the first mean is above 0 with certainty."""
     gap, share = difference_interval(a, b), ratio_interval(a, b)
     if gap.low == gap.high:
@@ -192,7 +191,7 @@ def compare(
     if not quantities:
         lacking = "no number that all have in one unit; name one measure in the [report] of each"
         raise HilError(f"compare: {', '.join(experiments)}: {lacking}")
-    values: dict[str, Mapping[str, NDArray[np.float64]]] = {}
+    values: dict[str, Mapping[str, Array]] = {}
     cautions: dict[str, str] = {}
     alone = ""
     for name, experiment in experiments.items():

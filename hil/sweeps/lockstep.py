@@ -16,16 +16,8 @@ from numpy.typing import NDArray
 from design.controllers.contract import KnownInBatch
 from hil.log.topics import SC, STATE
 from hil.measure import measures_of
-from hil.measure.batch_protocols import (
-    BatchController,
-    BatchMeasure,
-    BatchPlant,
-    BatchValues,
-    BatchView,
-    RunningControllers,
-    RunningPlants,
-)
-from hil.measure.signals import signals_of
+from hil.measure.batch_protocols import BatchController, BatchMeasure, BatchPlant, BatchView, RunningControllers, RunningPlants
+from hil.measure.signals import Array, signals_of
 from hil.rig.loop import Loop
 from hil.sweeps.batch_delivery import KnownSamples, applied_rows, delivered, law_supports_batch, nodes_of, received, starved
 
@@ -52,10 +44,10 @@ class BatchResult(Struct, frozen=True, kw_only=True):
     """
 
     known: NDArray[np.bool_]
-    outputs: BatchValues
-    inputs: BatchValues
-    reference: BatchValues
-    states: BatchValues | None
+    outputs: Array
+    inputs: Array
+    reference: Array
+    states: Array | None
     packets: NDArray[np.int64] | None
 
 
@@ -183,7 +175,7 @@ class _Slots:
         )  # fmt: skip
 
     def _known_in(
-        self, k: int, started: NDArray[np.bool_], sampled: Sequence[NDArray[np.int32]], outputs: BatchValues, r: Sequence[float]
+        self, k: int, started: NDArray[np.bool_], sampled: Sequence[NDArray[np.int32]], outputs: Array, r: Sequence[float]
     ) -> KnownInBatch:
         """Return what the controllers know in a slot: of every sample, or of the newest ones."""
         ages = np.array([k - node for node in sampled], dtype=np.intp)
@@ -192,7 +184,7 @@ class _Slots:
         fresh, held = self._samples.at(k, outputs)
         return KnownInBatch(started, ages, held[0], r, fresh, held)
 
-    def _sample(self, outputs: BatchValues, sampled: Sequence[NDArray[np.int32]]) -> BatchValues:
+    def _sample(self, outputs: Array, sampled: Sequence[NDArray[np.int32]]) -> Array:
         """What the newest sensor packets hold, newest sample first, (width, runs); several samples are of one node."""
         found = []
         for j in range(self._loop.samples):
@@ -200,7 +192,7 @@ class _Slots:
             found += [y.reshape(-1).take(at[node]) for y, node in zip(outputs, self._node_of)]
         return np.array(found, dtype=np.float32).astype(np.float64)
 
-    def _allowed(self, top: BatchValues, inputs: BatchValues) -> NDArray[np.bool_]:
+    def _allowed(self, top: Array, inputs: Array) -> NDArray[np.bool_]:
         """Return in which runs safety did not trip, (runs,)."""
         limits, names = self._loop.experiment.limits, [s.name for s in self._loop.experiment.plant.states]
         allowed = [(top < LARGEST).all(axis=0)]

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval, difference_interval
 from hil.errors import HilError, located
 from hil.experiment import Experiment
 from hil.measure import Quantity
-from hil.measure.signals import with_unit
+from hil.measure.signals import Array, with_unit
 from hil.notebook import Result
 from hil.sweeps import SweepStore
 from hil.sweeps.comparison import common_quantities
@@ -48,7 +47,7 @@ class ParameterSweep(ShownResult):
 
     experiment: str
     points: Points
-    columns: tuple[Mapping[str, NDArray[np.float64]], ...]
+    columns: tuple[Mapping[str, Array], ...]
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
     alone: str = ""
@@ -197,7 +196,7 @@ def sweep_parameters(
         HilError: if a point cannot be composed, or the folder holds something else.
     """
     quantities = common_quantities([quantities_in(e) for e in experiments])
-    done: list[Mapping[str, NDArray[np.float64]]] = []
+    done: list[Mapping[str, Array]] = []
     if folder is not None:
         with located(f"--resume: {folder}", OSError):
             folder.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,6 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from design.monte_carlo import Workers, spread
 from design.monte_carlo.confidence import StopRule
@@ -29,7 +28,7 @@ from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins import is_ours
 from hil.plugins.user_plugins import words
 from hil.rig import in_words_of_parts
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 from hil.runtime.virtual import rehearsal, simulate
 from hil.sweeps import Sweep, SweepStore
 from hil.sweeps.lockstep import measured_alone, run_batch, runs_per_batch, swept_at_once, view_of_batch
@@ -113,7 +112,7 @@ def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     together = run_batch(loop, seeds)
     view = view_of_batch(loop, together)
-    found: dict[str, NDArray[np.float64]] = {}
+    found: dict[str, Array] = {}
     if together.known.any():
         for measure in measures_of(loop.experiment):
             if isinstance(measure, BatchMeasure):
@@ -132,7 +131,7 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     ]
 
 
-def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.float64]]:
+def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, Array]:
     """Return what `of_batch` gives of all outputs and, where several are tracked, of each.
 
     Raises:

@@ -17,7 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from design.errors import check_solvers
 from hil.errors import HilError, unknown_name
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Sheet
 
 
+Array = NDArray[np.float64]
 SHOWN: Final = ("item", "printed", "computed", "rule", "verdict")
 """What a table shows of a row."""
 

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
 from design.controllers.scheduled_gain import ScheduledGain
@@ -23,15 +22,14 @@ from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages import Figure, Histogram, Series
 from hil.runtime.virtual import simulate
-from hil.thesis import Plot, ReportProgress
+from hil.thesis import Array, Plot, ReportProgress
 from hil.thesis.judgement import TAIL
 from hil.thesis.statements import above, below, mean, run, statement
 
-FloatArray = npt.NDArray[np.float64]
 DT_S = 0.01
 
 
-def _beside(title: str, y_label: str, t: FloatArray, ours: FloatArray, other: FloatArray) -> Figure:
+def _beside(title: str, y_label: str, t: Array, ours: Array, other: Array) -> Figure:
     """Return (2.27) beside [1, 2] over time."""
     curves = (Series(label="(2.27)", x=t, y=ours), Series(label="[1, 2]", x=t, y=other, style="dashed"))
     return Figure(title=title, y_label=y_label, series=curves)
@@ -42,7 +40,7 @@ def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
     first = trajectories(published, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
     other = trajectories(reference, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
     many = trajectories(published, 20, duration_s=10.0, dt_s=DT_S, seed=3)
-    t: FloatArray = np.asarray(np.arange(first.shape[0]) * DT_S)
+    t: Array = np.asarray(np.arange(first.shape[0]) * DT_S)
     panels = [_beside(f"2.2a: x{n + 1}(t), same switching instants", f"x{n + 1}", t, first[:, n], other[:, n]) for n in (0, 1)]
     for n in (0, 1):
         runs = tuple(Series(label="single runs", x=t, y=many[k, :, n], colour=0, faint=True) for k in range(20))
@@ -50,9 +48,9 @@ def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
     return Plot(title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths.")
 
 
-def monte_carlo_average(ours: FloatArray, other: FloatArray, settled: dict[str, FloatArray]) -> Plot:
+def monte_carlo_average(ours: Array, other: Array, settled: dict[str, Array]) -> Plot:
     """Figure 2.3: average states, and the distribution of the settling times (2.28), s, of both gains by their names."""
-    t: FloatArray = np.asarray(np.arange(len(ours)) * DT_S)
+    t: Array = np.asarray(np.arange(len(ours)) * DT_S)
     panels: list[Figure | Histogram] = [
         _beside(f"2.3a: mean of x{n + 1}, {RUNS} runs", f"E x{n + 1}", t, ours[:, n], other[:, n]) for n in (0, 1)
     ]
@@ -64,7 +62,7 @@ def monte_carlo_average(ours: FloatArray, other: FloatArray, settled: dict[str, 
     return Plot(title="Figure 2.3", panels=tuple(panels))
 
 
-def convergence(settled: dict[str, FloatArray]) -> Plot:
+def convergence(settled: dict[str, Array]) -> Plot:
     """Figure 2.4: mean and deviation of the settling times, s, against the number of runs."""
     panels = []
     for title, kind in (("2.4a: mean", "mean"), ("2.4b: standard deviation", "std")):
@@ -121,7 +119,7 @@ def settling(report_progress: ReportProgress) -> dict[str, Any]:
         "ours, h_1 moved to 0.2 s": (loop_of(chapter2_gain(0.2)), 20.0),
         "other, printed rate (2.26)": (loop_of(other, process=chapter2_process()), 40.0),
     }
-    times: dict[str, FloatArray] = {}
+    times: dict[str, Array] = {}
     for name, (loop, duration_s) in asked.items():
         report_progress(f"{RUNS} runs, {name}", len(times), len(asked) + 1)
         times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
@@ -135,7 +133,7 @@ def settling(report_progress: ReportProgress) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def times_in_numbers(times: dict[str, FloatArray]) -> dict[str, Any]:
+def times_in_numbers(times: dict[str, Array]) -> dict[str, Any]:
     """Moments, quantiles and standard errors of the settling times; an error counts the 10,000 printed runs too."""
     ours, other = times["ours"], times["other"]
     both = math.sqrt(2.0)
@@ -160,14 +158,14 @@ def times_in_numbers(times: dict[str, FloatArray]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def deviation_error(values: FloatArray) -> float:
+def deviation_error(values: Array) -> float:
     """Standard error of the standard deviation: sqrt((m4 - s^4) / (4 n s^2)), any law with a fourth moment."""
     spread = float(values.std())
     fourth = float(np.mean((values - values.mean()) ** 4))
     return math.sqrt((fourth - spread**4) / (4.0 * values.size)) / spread
 
 
-def quantile_errors(values: FloatArray) -> FloatArray:
+def quantile_errors(values: Array) -> Array:
     """Bootstrap standard errors of the quantiles of |T_s - mean|."""
     rng = np.random.default_rng(0)
     drawn = values[rng.integers(0, values.size, (200, values.size))]
@@ -234,7 +232,7 @@ BAND = 0.015
 """Of |x(0)|, (2.28)."""
 
 
-def settled_on_the_rig(name: str, seeds: Sequence[int]) -> FloatArray:
+def settled_on_the_rig(name: str, seeds: Sequence[int]) -> Array:
     """Return the settling times (2.28) of runs of a shipped experiment, s, (runs,).
 
     Args:
@@ -251,7 +249,7 @@ def settled_on_the_rig(name: str, seeds: Sequence[int]) -> FloatArray:
     return np.array(found)
 
 
-def settling_time(time_s: FloatArray, states: FloatArray) -> float:
+def settling_time(time_s: Array, states: Array) -> float:
     """Return the first sample from which on |x| <= 0.015 |x(0)|, or the time after the last sample.
 
     Args:
@@ -273,7 +271,7 @@ def in_the_loop(report_progress: ReportProgress) -> dict[str, Any]:
     return comparison(times)
 
 
-def comparison(times: dict[str, FloatArray]) -> dict[str, Any]:
+def comparison(times: dict[str, Array]) -> dict[str, Any]:
     """Return means, the share within 10 s, and what each is ahead of [1, 2], less four standard errors of the difference."""
     ahead = {who: times["reference"] - found for who, found in times.items() if who != "reference"}
     return {

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from design.as_printed import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_rate_bounds, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section, free_gains, inequality_at
@@ -20,11 +19,10 @@ from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, decay_of
 from hil.pages import Figure, Series
-from hil.thesis import Plot, ReportProgress
+from hil.thesis import Array, Plot, ReportProgress
 from hil.thesis.noisy_runs import delayed_runs
 from hil.thesis.statements import above, below, exactly, number_of, says, statement
 
-Array = npt.NDArray[np.float64]
 BOUNDS = (5.0, 1.5)
 """Bounds on the norm of the gains, as for the sound levels."""
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from design.as_printed import chapter4_gain, chapter4_partitioned_gain, chapter4_rate_knots, chapter4_seen_gain, chapter4_system
 from design.as_printed.chapters_2_to_4 import detection_section
@@ -25,7 +24,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.thesis import Chapter, ReportProgress, Stage
+from hil.thesis import Array, Chapter, ReportProgress, Stage
 from hil.thesis import chapter4_simulations as runs
 from hil.thesis.chapter2_feasibility import markov_approximation
 from hil.thesis.chapter4_simulations import ASSUMED, DETECTION, ETA, ONE, faults, known_fault, largest_entry, our_gains
@@ -111,7 +110,7 @@ def other_faults(report_progress: ReportProgress) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _change(matrices: npt.NDArray[np.float64] | None) -> float:
+def _change(matrices: Array | None) -> float:
     return math.nan if matrices is None else float(np.abs(matrices[1] - matrices[0]).max())
 
 

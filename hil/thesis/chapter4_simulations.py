@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from design.as_printed import (
     CHAPTER4_DETECTION_BOUNDARY_S,
@@ -29,7 +28,7 @@ from design.processes.semi_markov import FaultDetection, sample_fault_detection
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from hil.pages import Figure, Histogram, Series
-from hil.thesis import Plot, ReportProgress
+from hil.thesis import Array, Plot, ReportProgress
 from hil.thesis.noisy_runs import NoisyRuns, fault_runs
 from hil.thesis.statements import ERRORS, above, below, exactly, number_of, run, says, statement
 
@@ -41,7 +40,7 @@ STATES = (("x1", "horizontal velocity", "knot"), ("x2 = y", "vertical velocity",
           ("x4", "pitch angle", "deg"))  # fmt: skip
 
 
-def known_fault(gain: npt.NDArray[np.float64]) -> ScheduledGain:
+def known_fault(gain: Array) -> ScheduledGain:
     """K_ik,m of shape (2, 2, sections, 2, 4) as a schedule over (eta, r) and r's clock."""
     sections = gain.reshape(4, -1, 2, 4)
     starts = np.array([[0.0, CHAPTER4_DETECTION_BOUNDARY_S][: sections.shape[1]]] * 4)
@@ -215,7 +214,6 @@ SIMULATIONS = (
 )
 # fmt: on
 
-Array = npt.NDArray[np.float64]
 GAMMA = 1.5
 BOUNDS = (5.0, 10.0, 50.0)
 """Bounds on the norm of the gains; none is printed, and the largest norms of (4.30) and (4.31) are 51.6 and 34.9."""

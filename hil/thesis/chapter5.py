@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.historical_data import DelayedPlant, close
@@ -28,12 +27,10 @@ from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.pages import Figure, Series
 from hil.runtime.virtual import simulate
-from hil.thesis import Chapter, Plot, ReportProgress, Stage
+from hil.thesis import Array, Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter5_equations import EQUATIONS, equations
 from hil.thesis.statements import above, below, equal, exactly, says, statement
 from plants.delayed_states import DelayedStates
-
-Array = npt.NDArray[np.float64]
 
 
 def variant_plant(plant: DelayedPlant) -> DelayedPlant:

@@ -20,11 +20,11 @@ from hil.log.run import Run
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate
+from hil.thesis import Array
 from hil.thesis.statements import above, below, exactly, says, statement
 from plants.delayed_states import DelayedStates
 from transport.draws import DELIVERED
 
-Array = npt.NDArray[np.float64]
 SLOTS = 400
 
 PRINTED_MASK = ("00*0", "0**0", "***0", "**0*", "*0**", "0***")

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.errors import HilError
 from hil.measure.batch_protocols import BatchView
@@ -17,7 +16,7 @@ from hil.measure.tracking import tracking_of_batch
 from hil.pages import Band, Figure, Marker, Series
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
-from hil.thesis import Chapter, Plot, ReportProgress, Stage
+from hil.thesis import Array, Chapter, Plot, ReportProgress, Stage
 from hil.thesis import chapter7_delays as delays
 from hil.thesis import chapter7_designs as designs
 from hil.thesis import chapter7_friction as friction
@@ -26,7 +25,6 @@ from hil.thesis import chapter7_runs as runs
 from hil.thesis.chapter7_runs import ideal, numbers_of, on_all_cores, upright
 from hil.thesis.statements import above, below, statement
 
-Array = npt.NDArray[np.float64]
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")
 SMITH_RUNS = 400
 SMITH_GAINS = (-0.02, -0.03, -0.08, -0.16, -0.2)

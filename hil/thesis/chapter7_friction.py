@@ -17,18 +17,15 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_protocols import BatchView
 from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
-from hil.thesis import ReportProgress
+from hil.thesis import Array, ReportProgress
 from hil.thesis.chapter7_runs import BATCH_RUNS, numbers_of, on_all_cores
 from hil.thesis.statements import ERRORS, above, below, run, says, statement
-
-Array = npt.NDArray[np.float64]
 
 EXPERIMENT = {"hinf": ("15.14", "0.0295"), "h2": ("14.57", "0.0193"), "local": ("16.16", "0.2989")}
 NAMES = {"hinf": "H-infinity", "h2": "H2", "local": "local"}

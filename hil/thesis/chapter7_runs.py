@@ -18,7 +18,7 @@ from design.monte_carlo import Workers, spread
 from design.networked_loop.certify import certify_loop
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.measure.batch_protocols import BatchValues, BatchView
+from hil.measure.batch_protocols import BatchView
 from hil.measure.prediction import predict
 from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
@@ -46,10 +46,10 @@ def on_all_cores(
     return found
 
 
-Numbers = Callable[[BatchView], Sequence[BatchValues]]
+Numbers = Callable[[BatchView], Sequence[Array]]
 
 
-def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers) -> BatchValues:
+def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers) -> Array:
     """Numbers of every run.
 
     They are runs of a loop on the rig with many seeds, all at once.
@@ -92,7 +92,7 @@ def sums_of_squares(loop: Loop, seeds: Sequence[int]) -> Array:
     return numbers_of(loop, seeds, 2, _sums).T
 
 
-def _sums(view: BatchView) -> tuple[BatchValues, BatchValues]:
+def _sums(view: BatchView) -> tuple[Array, Array]:
     found = tracking_of_batch(view)
     return found["sse"], found["sse_after_5s"]
 

@@ -18,20 +18,19 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.semi_markov import FaultDetection, SemiMarkov, sample_fault_detection, sample_path
 from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.period_moments import gain_mode
-
-FloatArray = npt.NDArray[np.float64]
+from hil.thesis import Array
 
 
 class NoisyRuns(NamedTuple):
     """``time_s`` (G,), ``x`` (runs, G, n), ``ratio`` ||z|| / ||w|| per run, and ``size`` = sqrt(int |z|^2) per run."""
 
-    time_s: FloatArray
-    x: FloatArray
-    ratio: FloatArray
-    size: FloatArray
+    time_s: Array
+    x: Array
+    ratio: Array
+    size: Array
 
 
-def _norms(time_s: FloatArray, x: FloatArray, c: FloatArray, noise: FloatArray, noise_s: float) -> tuple[FloatArray, FloatArray]:
+def _norms(time_s: Array, x: Array, c: Array, noise: Array, noise_s: float) -> tuple[Array, Array]:
     z = x @ c.T
     size = np.sqrt(np.trapezoid((z * z).sum(axis=-1), time_s, axis=-1))
     with np.errstate(divide="ignore"):
@@ -57,7 +56,7 @@ def delayed_runs(
     """
     steps = round(duration_s / step_s)
     rng = np.random.default_rng(seed)
-    time_s: FloatArray = np.asarray(np.arange(steps + 1) * step_s)
+    time_s: Array = np.asarray(np.arange(steps + 1) * step_s)
     paths = [sample_path(process, 0, duration_s + step_s, rng) for _ in range(runs)]
     at = [path.at(time_s) for path in paths]
     modes, clocks = np.stack([mode for mode, _ in at], axis=1), np.stack([h for _, h in at], axis=1)
@@ -67,7 +66,7 @@ def delayed_runs(
     x[0] = start
     every = np.arange(runs)
 
-    def delayed(k: int, t: float, now: FloatArray, mode: npt.NDArray[np.intp]) -> FloatArray:
+    def delayed(k: int, t: float, now: Array, mode: npt.NDArray[np.intp]) -> Array:
         tau = 0.5 * tau_max * (np.sin(2.0 * slopes[mode] * t / tau_max) + 1.0)
         position = np.maximum((t - tau) / step_s, 0.0)
         low = np.minimum(position.astype(np.intp), k)
@@ -85,9 +84,9 @@ def delayed_runs(
         push = np.einsum("rij,rj->ri", system.e[mode], held[:, min(int(t / noise_s + 1e-9), held.shape[1] - 1)])
 
         def flow(
-            t: float, y: FloatArray, k: int = k, mode: npt.NDArray[np.intp] = mode, loop: FloatArray = loop, ad: FloatArray = ad,
-            push: FloatArray = push,
-        ) -> FloatArray:  # fmt: skip
+            t: float, y: Array, k: int = k, mode: npt.NDArray[np.intp] = mode, loop: Array = loop, ad: Array = ad,
+            push: Array = push,
+        ) -> Array:  # fmt: skip
             return np.asarray(np.einsum("rij,rj->ri", loop, y) + np.einsum("rij,rj->ri", ad, delayed(k, t, y, mode)) + push)
 
         one = flow(t, x[k])
@@ -117,7 +116,7 @@ def fault_runs(
     """
     assert system.c is not None and system.e is not None
     count = round(duration_s / noise_s)
-    time_s: FloatArray = np.asarray(np.arange(count + 1) * noise_s)
+    time_s: Array = np.asarray(np.arange(count + 1) * noise_s)
     x, held = np.empty((runs, count + 1, len(start))), np.empty((runs, count, system.e.shape[2]))
     step = cache(partial(_held, system, gain))
     for run in range(runs):
@@ -141,7 +140,7 @@ def fault_runs(
 
 def _held(
     system: JumpSystem, gain: ScheduledGain, i: int, mode: int, section: int, step_s: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Array, Array]:
     """Transition and input matrix over a step with the noise held."""
     assert system.e is not None
     loop, e = system.a[i] + system.b[i] @ gain.gain[mode, section], system.e[i]

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.errors import PlantError
-from plants.parts import DiscreteStateSpace, Signal, StateSpace
+from plants.parts import DiscreteStateSpace, Matrix, Signal, StateSpace
 from plants.parts.exponential import Rows
 from plants.parts.protocols import (
     BeyondModel,
@@ -175,7 +174,7 @@ def _further(plant: Plant, name: str) -> list[str]:
     return said
 
 
-def _check_weight(weight: NDArray[np.float64], size: int, where: str) -> None:
+def _check_weight(weight: Matrix, size: int, where: str) -> None:
     _demand(weight.shape == (size, size), f"{where} of shape {weight.shape}, expected ({size}, {size})")
     _demand(bool(np.isfinite(weight).all()) and bool((weight == weight.T).all()), f"{where} is not finite and symmetric")
     least = float(np.linalg.eigvalsh(weight)[0])

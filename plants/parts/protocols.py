@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from plants.parts import DiscreteStateSpace, Signal, StateSpace
+from plants.parts import DiscreteStateSpace, Matrix, Signal, StateSpace
 
 if TYPE_CHECKING:
     from plants.parts.semi_markov import JumpModel, JumpRates
@@ -148,7 +147,7 @@ class HasOwnInputs(Protocol):
 class HasStateDelays(Protocol):
     """A plant in slots whose own past states act on it: its model is x(k+1) = A x(k) + A_1 x(k-1) + ... + B u(k)."""
 
-    def state_delays(self) -> NDArray[np.float64]:
+    def state_delays(self) -> Matrix:
         """Return A_1, ..., A_tau, (tau, n, n)."""
         ...
 
@@ -157,7 +156,7 @@ class HasStateDelays(Protocol):
 class HasCost(Protocol):
     """A plant that says what deviation and effort cost: J is the sum of x' Xi x + u' Xi_u u."""
 
-    def cost_weights(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def cost_weights(self) -> tuple[Matrix, Matrix]:
         """Return Xi, (n, n), and Xi_u, (m, m)."""
         ...
 
@@ -166,7 +165,7 @@ class HasCost(Protocol):
 class HasStateHistory(Protocol):
     """A plant with delayed states that says what they were before slot 0; of one that does not, they were zero."""
 
-    def state_history(self) -> NDArray[np.float64]:
+    def state_history(self) -> Matrix:
         """Return x(-1), ..., x(-h), (h, n)."""
         ...
 
@@ -175,7 +174,7 @@ class HasStateHistory(Protocol):
 class HasSensorNoise(Protocol):
     """A plant that says how noisy its sensors are: white noise, new with every sample, independent from output to output."""
 
-    def sensor_noise(self) -> NDArray[np.float64]:
+    def sensor_noise(self) -> Matrix:
         """Return the standard deviations, (p,)."""
         ...
 

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 
 from transport.law_fit.latency_families import bic
-from transport.law_fit.packet_record import Ages
+from transport.law_fit.packet_record import Ages, Array
 from transport.law_fit.proportions import Interval, wilson
-
-Array = NDArray[np.float64]
 
 MOST_AGES = 40
 STRONG = 6.0

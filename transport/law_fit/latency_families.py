@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
-Array = NDArray[np.float64]
+from transport.law_fit.packet_record import Array
 
 LARGEST_TABLE = 256
 IMPOSSIBLE = 1e300

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from transport.law_fit.latency_families import bic
+from transport.law_fit.packet_record import Array
 from transport.law_fit.profile_intervals import angles_of, minimum, profile_intervals, values_of
 from transport.law_fit.proportions import Interval, wilson
 
-Array = NDArray[np.float64]
 Lost = NDArray[np.bool_]
 
 ALL = ("p_gb", "p_bg", "loss_good", "loss_bad")

@@ -19,12 +19,11 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
+from transport.law_fit.packet_record import Array
 from transport.law_fit.proportions import LEVEL, Interval
 
-Array = NDArray[np.float64]
 Cost = Callable[[Array], Array]
 """Minus the log-likelihood, (b, m) angles to (b,)."""
 

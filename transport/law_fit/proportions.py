@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 from scipy import special, stats
 
 from transport.errors import NotKnown
-from transport.law_fit.packet_record import delays_in_slots
+from transport.law_fit.packet_record import Array, delays_in_slots
 
 if TYPE_CHECKING:
     from transport.law_fit import LawFit
 
-Array = NDArray[np.float64]
 
 LEVEL = 0.95
 

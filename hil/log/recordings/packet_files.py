@@ -12,15 +12,12 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.errors import HilError
 from hil.files import open_regular
 from hil.files.arrays import read_columns
-from hil.log.recordings import ROUND_TRIP, THERE, Recording, Way
+from hil.log.recordings import ROUND_TRIP, THERE, Array, Recording, Way
 from transport.packets import ControlPacket, SensorPacket, decode, packet_size
-
-Array = NDArray[np.float64]
 
 TCP, UDP = 6, 17
 HEAD = 128

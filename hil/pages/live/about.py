@@ -13,17 +13,14 @@ from operator import getitem
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
 from hil.pages.live import Records, Side, Trace
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 from plants.parts.protocols import GoesOn, Plant
 from transport.laws import ChainLaw, NetworkLaw
-
-Array = NDArray[np.float64]
 
 
 def about(sides: Sequence[Side], where: str) -> dict[str, Any]:

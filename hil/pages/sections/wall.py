@@ -9,7 +9,6 @@ import math
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.controllers.wall import Wall
@@ -18,10 +17,8 @@ from hil.log.topics import PASSIVITY, STATE
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 from hil.pages import Block, Cell, Figure, Marker, Scene, Section, Series, Shape, Table
 from hil.pages.sections.time_panels import curve, markers
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 from hil.session.replay.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
-
-Array = npt.NDArray[np.float64]
 
 PLACE = 5
 """Before everything else: a haptic run is about its wall."""

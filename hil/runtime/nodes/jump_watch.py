@@ -14,16 +14,14 @@ from math import log
 from typing import Final, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.rig.loop import CANCELS, EQUAL, LARGEST, JumpStep
+from hil.rig.loop import CANCELS, EQUAL, LARGEST, Array, JumpStep
 from hil.runtime.nodes.plant_watch import ANOTHER, MOST_KEPT, Blocks, Result, at_once
 from plants.parts.protocols import PlantRun
 from transport.draws import ABSENT, DELIVERED, DISORDERED, NONE_YET, REPEATED, Draw
 from transport.law_tests import law_p_value
 from transport.laws import ChainLaw, InitialLaw, NetworkLaw, SemiMarkovLaw
 
-Array = NDArray[np.float64]
 InSteps = Generator[None, None, Result]
 """Work in steps, of a slot each."""
 UNLIKELY: Final = 1e-9

@@ -15,12 +15,10 @@ from struct import Struct
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.rig.loop import CANCELS, EQUAL, LARGEST, RUN_AGAIN, OneStep, kind_of
+from hil.rig.loop import CANCELS, EQUAL, LARGEST, RUN_AGAIN, Array, OneStep, kind_of
 from plants.parts.protocols import PlantRun
 
-Array = NDArray[np.float64]
 BLOCK: Final = 512
 """Slots that are compared at once."""
 MOST_KEPT: Final = 200_000

@@ -19,7 +19,7 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.log.topics import ROWS
 from hil.measure.view import MEASUREMENT, RunView, matrix
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 
 
 def composed(view: RunView) -> Loop | None:
@@ -37,8 +37,6 @@ def composed(view: RunView) -> Loop | None:
 
 MOST_ANSWERS = 200_000
 """Answers that are computed again at most: the first ones of a longer run."""
-
-Array = npt.NDArray[np.float64]
 
 
 class ContactState(Protocol):

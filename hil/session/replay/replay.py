@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from design.controllers import Controller, packet_samples
 from hil.compose import compose
@@ -23,7 +22,7 @@ from hil.log.run import Run
 from hil.log.topics import APPLIED, SENSOR, TIMING, channels_of, in_log_of
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_plugins import Designer
-from hil.rig.loop import Loop
+from hil.rig.loop import Array, Loop
 from hil.runtime.changes import take
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
@@ -218,7 +217,7 @@ def _words(data: bytes | None) -> str:
 
 def what_if(
     run: Run, controller: Controller | Designer, kind: str, source: str = "log", experiment: Experiment | None = None
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Array]:
     """Compute the commands of another controller on the recorded samples (the plant does not react).
 
     Args:
@@ -256,7 +255,7 @@ def what_if(
                 found.append((math.nan,) * len(names))
         for i, column in enumerate(rows):
             column.extend(np.array([row[i] for row in found]))
-    out: dict[str, NDArray[np.float64]] = {"t_s": whole(applied, "t_ns") / 1e9}
+    out: dict[str, Array] = {"t_s": whole(applied, "t_ns") / 1e9}
     for name, column in zip(names, rows):
         out[f"recorded_{name}"] = whole(applied, name)
         out[f"{kind}_{name}"] = column.array()
