@@ -17,8 +17,9 @@ from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
 
-from hil.log import CHANGE
-from hil.log.write import Sink
+from hil.log import CHANGE, decode_event
+from hil.log.records import EVENTS_TOPIC
+from hil.log.write import PayloadWriter, Sink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     import socket
 
 LATE: Final = "change late"
-"""Kind of the event that logs a change that came after its slot had begun, in real time."""
+"""Kind of the event that logs a change that does not act: it, or one before it, came after its slot had begun, in real time."""
 END: Final = "end"
 """Path of the change that ends a run."""
 RUN_ENDED: Final = "the run was ended"
@@ -40,11 +41,13 @@ class Change(Struct, frozen=True, kw_only=True):
         path: of the field, see `hil.compose.changed.changed`.
         value: as the file's parser would give it.
         loop: with its certificate; None: the run ends before the slot.
+        era: how many changes had come late as far as who composed the loop knew; what was composed upon one acts no more than it.
     """
 
     path: str
     value: Any
     loop: Loop | None
+    era: int = 0
 
 
 Changes = Callable[[int], Sequence[Change]]
@@ -63,9 +66,10 @@ def take(change: Change, rig: Rig, node: ControlNode | None) -> None:
 
 
 def log_late(sink: Sink, change: Change, t_ns: int, k: int, slot: int) -> None:
-    """Log a change that came after its slot had begun: it does not act, as its certificate is of a run in which it acts there."""
-    message = f"{change.path}: came in slot {k}, behind its slot {slot}: nothing was changed; change it again"
-    sink.event(t_ns, LATE, message, slot=k, severity="warning", path=change.path, due=slot)
+    """Log a change that does not act: it came behind its slot, or its certificate is of a loop with one that did."""
+    why = f"came in slot {k}, behind its slot {slot}" if slot < k else "was composed upon a change that came late"
+    message = f"{change.path}: {why}: nothing was changed; change it again"
+    sink.event(t_ns, LATE, message, slot=k, severity="warning", path=change.path, due=slot, era=change.era)
 
 
 def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
@@ -147,15 +151,26 @@ class ChangeReceiver:
     def __init__(self, fd: int) -> None:
         self._fd, self._bytes = fd, bytearray()
         self._arrived: deque[tuple[int, Change]] = deque()
+        self._era = 0
         if fd >= 0:
             os.set_blocking(fd, False)
 
-    def due(self, k: int) -> Iterator[tuple[int, Change]]:
-        """Yield the changes that have come for slots up to k, with their slots; one system call where none has come."""
+    def due(self, k: int, *, ahead: bool = False) -> Iterator[tuple[int, Change, bool]]:
+        """Yield the changes that have come, with their slots, and whether each acts; one system call where none has come.
+
+        One that came behind its slot does not, nor does one that was composed upon it; the end of a run always does.
+
+        Args:
+            k: the next slot; changes of later ones wait.
+            ahead: whether they do not.
+        """
         if self._fd >= 0:
             self._read()
-        while self._arrived and self._arrived[0][0] <= k:
-            yield self._arrived.popleft()
+        while self._arrived and (ahead or self._arrived[0][0] <= k):
+            slot, change = self._arrived.popleft()
+            late = change.path != END and (slot < k or change.era < self._era)
+            self._era = max(self._era, change.era + late)
+            yield slot, change, not late
 
     def _read(self) -> None:
         try:
@@ -174,16 +189,37 @@ class ChangeReceiver:
 
 
 class ChangeSchedule:
-    """Calls for the changes of every slot once, `LEAD_S` ahead of the run.
+    """Calls for the changes of every slot once, `LEAD_S` ahead of the run, and learns from the rig's events which of them act.
 
     Args:
         changes: called with each slot; None for a run that takes no changes.
         period_ns: length of a slot, ns.
+
+    Attributes:
+        undecided: changes that were sent, with their slots, of which the rig has said nothing yet.
     """
 
     def __init__(self, changes: Changes | None, period_ns: int) -> None:
         self._changes, self._period_ns = changes, period_ns
         self._lead, self._next = 1 + round(LEAD_S * 1e9 / period_ns), 0
+        self.undecided: deque[tuple[int, Change]] = deque()
+        self._acts: deque[bool] = deque()  # of the first of them, as the log's thread learns it
+
+    def listeners(self) -> dict[str, PayloadWriter]:
+        """Return what takes the rig's events, by their topic; nothing for a run without changes."""
+        return {} if self._changes is None else {EVENTS_TOPIC: self._learn}
+
+    def _learn(self, t_ns: int, payload: bytes) -> None:
+        kind = decode_event(payload)["kind"]
+        if kind in (CHANGE, LATE):
+            self._acts.append(kind == CHANGE)
+
+    def taken(self) -> Iterator[tuple[int, Change]]:
+        """Yield the changes, with their slots, that the rig has taken since the last call."""
+        while self._acts:
+            sent = self.undecided.popleft()
+            if self._acts.popleft():
+                yield sent
 
     def at(self, now_ns: int) -> Iterator[tuple[int, Change]]:
         """Yield the changes that are due to be sent, with their slots.
@@ -197,4 +233,5 @@ class ChangeSchedule:
         for k in range(self._next, end + 1):
             self._next = k + 1
             for change in self._changes(k):
+                self.undecided.append((k, change))
                 yield k, change

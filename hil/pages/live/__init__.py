@@ -136,7 +136,8 @@ class Side:
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=EVENTS)
         self._numbers = count()
         self._armed: deque[tuple[int, Change]] = deque()
-        self._before: dict[tuple[int, str], Loop] = {}  # in real time: what ran before a change, by its slot and path
+        self._before: deque[Loop] = deque()  # in real time: what ran before each change that may yet come late
+        self.era = 0  # see `Change`
         self._asked = -1  # the newest slot whose changes were asked for
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
@@ -177,20 +178,22 @@ class Side:
     def _note(self, event: dict[str, Any]) -> None:
         if event["kind"] == CHANGE:
             self.done.append((event["slot"], event["data"]["path"], event["data"]["value"]))
-        elif event["kind"] == LATE:
-            with self._turn:  # what comes next is composed upon what runs
-                self.loop = self._before.get((event["data"]["due"], event["data"]["path"]), self.loop)
+        if event["kind"] in (CHANGE, LATE) and event["data"]["path"] != END and self._before:
+            before = self._before.popleft()
+            with self._turn:
+                if event["kind"] == LATE and event["data"]["era"] == self.era:  # what comes next is composed upon what runs
+                    self.loop, self.era = before, self.era + 1
         self._events.append((next(self._numbers), event))
 
     def arm(self, k: int, change: Change) -> bool:
-        """Let a change act from slot k on; return False where that slot has begun already."""
+        """Let a change act from slot k on; return False where that slot has begun, or what it was composed upon does not run."""
         with self._turn:
-            if k <= self._asked:
+            if k <= self._asked or (change.loop is not None and change.era != self.era):
                 return False
             self._armed.append((k, change))
             if change.loop is not None:
                 if self.clock is None and self.loop is not None:
-                    self._before[k, change.path] = self.loop
+                    self._before.append(self.loop)
                 self.loop = change.loop
             return True
 

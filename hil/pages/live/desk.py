@@ -237,9 +237,10 @@ class Desk:
             left = {i: side for i, side in enumerate(sides) if i not in armed}
             begun = {i: side.next_slot() for i, side in left.items()}
             k = max(_first_slot(side, path, lead_s) for side in left.values())
+            eras = {i: side.era for i, side in left.items()}
             made = {i: compose(_loop_of(side, path), k, path, value) for i, side in left.items()}
             passed_s = max((side.next_slot() - begun[i]) * side.period_s / _speed_of(side) for i, side in left.items())
-            armed |= {i: k for i, side in left.items() if side.arm(k, Change(path=path, value=value, loop=made[i]))}
+            armed |= {i: k for i, side in left.items() if side.arm(k, Change(path=path, value=value, loop=made[i], era=eras[i]))}
             lead_s = 2 * max(lead_s, passed_s)
         return [armed[i] for i in range(len(sides))]
 

@@ -62,7 +62,7 @@ class Questions:
         self._counts, self._silence_ns = counts, max(SILENCE_NS, 3 * period_ns)
         self._candidates: dict[int, int] = {}  # how often each was named
         self._greeted = False  # the session began with a hello
-        self._slot, self._nonce, self._taken_ns = -1, 0, -self._silence_ns
+        self.slot, self._nonce, self._taken_ns = -1, 0, -self._silence_ns
         self._closed = True
         self._frames: dict[int, tuple[SensorPacket, bytes]] = {}  # of the slot, by counter
         self._spoilt: set[int] = set()
@@ -98,11 +98,11 @@ class Questions:
         """
         self.begun = False
         seq = packet.seq
-        if seq != self._slot or packet.nonce != self._nonce:
+        if seq != self.slot or packet.nonce != self._nonce:
             if not self._goes_on(seq, packet.nonce, now_ns) and not self._begins(seq, packet.nonce):
                 self._counts.refused += 1
                 return None
-            self._slot, self._nonce, self._closed, self.running = seq, packet.nonce, False, True
+            self.slot, self._nonce, self._closed, self.running = seq, packet.nonce, False, True
             self._frames, self._spoilt = {}, set()
             self._candidates.clear()
         counter = packet.counter
@@ -129,13 +129,13 @@ class Questions:
 
     def _goes_on(self, seq: int, nonce: int, now_ns: int) -> bool:
         """Return whether a later slot of the session asks, by its nonce."""
-        missing = seq - self._slot
+        missing = seq - self.slot
         if not self.running or missing <= 0:
             return False
         if missing > NEAR and (missing > FAR or now_ns - self._taken_ns < self._silence_ns):
             return False
         first = seq - seq % SEGMENT
-        if first > self._slot:
+        if first > self.slot:
             return True  # the next chain begins
         for _ in range(missing):
             nonce = before(nonce)
@@ -232,6 +232,11 @@ class ControlNode:
             if not self._keep(packet, packet.seq):
                 return None
         return self._answer(seq, echo([data for _, data in sound]))
+
+    @property
+    def next_slot(self) -> int:
+        """The slot behind the newest one of the session; 0 before it began."""
+        return self._questions.slot + 1
 
     @property
     def departed(self) -> tuple[int, str] | None:

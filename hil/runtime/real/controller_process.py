@@ -129,8 +129,8 @@ def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> bool
         answer = node.on_frame(data, monotonic_ns())
         if answer is not None:
             link.send(answer)
-        for _, change in changes.due(sys.maxsize):
-            if change.loop is not None:
+        for _, change, acts in changes.due(node.next_slot, ahead=True):
+            if acts and change.loop is not None:
                 node.change(change.loop, new_controller=False)
     elif isinstance(link, OneOfARole):  # no packet comes where the rig has accepted another controller
         link.check_alone()

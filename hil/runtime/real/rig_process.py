@@ -127,8 +127,8 @@ class RealLoop:
 
     def _change(self, k: int) -> None:
         """Apply the changes of slot k, in the time that is left before it."""
-        for slot, change in self._changes.due(k):
-            if slot < k:
+        for slot, change, acts in self._changes.due(k):
+            if not acts:
                 log_late(self._sink, change, k * self._period_ns, k, slot)
                 continue
             take(change, self.rig, self._node)

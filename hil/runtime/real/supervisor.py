@@ -18,17 +18,17 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from msgspec import Struct, field
+from msgspec import Struct, field, structs
 
 from hil.errors import HilError, Terminated
 from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
-from hil.log.write import PayloadWriter, Sink
+from hil.log.write import PayloadWriter, Sink, together
 from hil.log.write.pump import PumpReport, pump, rehearse
 from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
-from hil.runtime.changes import Changes, ChangeSchedule, ChangeSenders, Dump
+from hil.runtime.changes import Change, Changes, ChangeSchedule, ChangeSenders, Dump
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, go_ahead_of_others, leave_to_loop, rig_process
 from hil.runtime.real.child import Child, end_all, is_stopped
@@ -138,7 +138,7 @@ class Processes:
     def __init__(self, loop: Loop, link: SessionLink, report_fd: int, changes: Changes | None) -> None:
         self._loop, self._link, self._report_fd = loop, link, report_fd
         self._period_ns, self._parent = loop.experiment.period_ns, os.getpid()
-        self._schedule, self._senders = ChangeSchedule(changes, self._period_ns), ChangeSenders(changes is not None)
+        self.schedule, self._senders = ChangeSchedule(changes, self._period_ns), ChangeSenders(changes is not None)
         self._restarts = deque(first * self._period_ns for first, _ in loop.rig.fault_schedule.restarts)
         self._start, self._dump = _starter(loop)
         self._controller: Child | None = None
@@ -162,6 +162,8 @@ class Processes:
             loop=self._loop, link=self._link, parent=self._parent, report_fd=self._report_fd,
             changes_fd=self._senders.open("controller"), meeting_fd=self._meeting_of("controller"),
         )  # fmt: skip
+        for sent in self.schedule.undecided:
+            self._tell_controller(*sent)
         self.controllers += 1
         self._controller = self._started("controller", controller_process.__name__, job, self._report_fd)
 
@@ -177,17 +179,19 @@ class Processes:
 
     def send_changes(self, now_ns: int) -> None:
         """Send the changes that are due; `now_ns`: session time, ns, below 0 before slot 0."""
-        for k, change in self._schedule.at(now_ns):
-            self._senders.put("rig", k, change, self._dump)
-            if change.loop is None:
-                continue
-            self._loop = change.loop
-            restart = change.path == "fault" and change.value["kind"] == RESTART
-            if restart:
+        for k, change in self.schedule.taken():
+            self._loop = change.loop or self._loop
+            if _is_restart(change):
                 self._restarts = deque(sorted((*self._restarts, k * self._period_ns)))
-            if restart or change.path == "reference":  # all other changes are the rig's
-                self._senders.put("controller", k, change, self._dump)
+        for k, change in self.schedule.at(now_ns):
+            self._tell_controller(k, change)
+            self._senders.put("rig", k, change, self._dump)
         self._senders.flush()
+
+    def _tell_controller(self, k: int, change: Change) -> None:
+        """Queue a change for the controller: of those that are the rig's alone, only that there is one."""
+        own = _is_restart(change) or change.path == "reference"
+        self._senders.put("controller", k, change if own else structs.replace(change, loop=None), self._dump)
 
     def restart_controller(self, now_ns: int) -> None:
         """Restart the controller where a fault on the time line says so: it loses its memory, and takes the time of a start."""
@@ -247,7 +251,8 @@ def run_real(
         go_ahead_of_others()
         channels = channels_of(loop, on_can=link.on_can)
         rehearse(channels)
-        pump(read_fd, sink, channels, taps=taps, stop=stop_pump.is_set, report=outcome.pump)
+        observed = together(taps or {}, processes.schedule.listeners())
+        pump(read_fd, sink, channels, taps=observed, stop=stop_pump.is_set, report=outcome.pump)
 
     thread = threading.Thread(target=keep_log, name="log")
     with open(os.memfd_create("report"), "rb") as report, StopSignals() as signals:
@@ -303,6 +308,10 @@ def _goes_on(rig: Child, processes: Processes, heartbeat: HeartbeatTimeout, outc
     if outcome.controller_lost is None:
         outcome.controller_lost, outcome.controller_lost_ns = processes.lost_controller(), outcome.pump.last_ns
     return outcome.controller_lost is None or bool(records)  # a controller that ended before slot 0 never answered
+
+
+def _is_restart(change: Change) -> bool:
+    return change.path == "fault" and bool(change.value["kind"] == RESTART)
 
 
 def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:

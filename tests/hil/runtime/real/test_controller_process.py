@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
 from hil.compose import compose
+from hil.compose.changed import changed
 from hil.errors import Terminated
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
+from hil.runtime.changes import Change, ChangeReceiver, ChangeSenders
+from hil.runtime.nodes import session_wire
+from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real import controller_process
-from hil.runtime.real.controller_process import ControllerReport, serve
+from hil.runtime.real.controller_process import ControllerReport, _answer_next, serve
 from tests.hil.cli.conftest import run_main
 from transport import LinkCounters
 from transport.links import Closing, Link, zenoh_refusals
+from transport.links.memory import memory_pair
+from transport.packets import ControlPacket, SensorPacket, decode, encode_sensor
 
 OPEN = "hil.runtime.real.controller_process.open_link"
 
@@ -37,6 +44,32 @@ def test_a_controller_says_to_its_link_how_long_its_rig_is_silent(loop: Loop, mo
     with pytest.raises(Terminated):
         serve(loop, "can:hil:x")
     assert asked == [("can:hil:x", "controller", float(loop.experiment.period))]
+
+
+def test_a_controller_takes_no_reference_that_comes_behind_its_slot(loop: Loop) -> None:
+    """The rig refuses it, and the log says that nothing was changed."""
+    senders, node, wire = ChangeSenders(True), ControlNode(loop), session_wire(bytes(16), 10)
+    receiver = ChangeReceiver(os.dup(senders.open("controller")))
+    rig, controller = memory_pair()
+
+    def answer(k: int) -> float:
+        sample_ns = k * loop.experiment.period_ns
+        rig.send(encode_sensor(SensorPacket(k, 0, sample_ns, (0.0,), nonce=wire.nonce(k), counter=1)))
+        assert _answer_next(node, controller, receiver)
+        found = decode(rig.receive(0.0) or b"")
+        assert isinstance(found, ControlPacket)
+        return found.rows[0][0]
+
+    def change(slot: int, era: int) -> None:
+        after = changed(loop, slot, "reference", [1.0])
+        senders.put("controller", slot, Change(path="reference", value=[1.0], loop=after, era=era))
+        senders.flush()
+
+    change(0, 0)  # comes while slot 0 is answered
+    assert [answer(0), answer(1), answer(2)] == [0.0, 0.0, 0.0]
+    change(4, 1)
+    assert answer(3) == 0.0 and answer(4) != 0.0
+    senders.close()
 
 
 OWN = """
