@@ -160,7 +160,7 @@ def parse_plugin(group: registry.Group, kind: str, sets: typing.Sequence[str] = 
     """Make the parameters of one plug-in from ``key=value`` changes, as the table of an experiment file would."""
     raw: dict[str, Any] = {}
     for change in sets:
-        _apply(raw, change)
+        _apply(raw, change, "--parameter")
     return parse_table(group, {"kind": kind, **raw}, group.removeprefix("hil.").removesuffix("s"))
 
 
@@ -170,17 +170,17 @@ def _without_none(value: Any) -> Any:
     return [_without_none(v) for v in value] if isinstance(value, list) else value
 
 
-def _apply(raw: dict[str, Any], change: str) -> None:
+def _apply(raw: dict[str, Any], change: str, option: str = "--set") -> None:
     path, eq, value = change.partition("=")
     if not eq:
-        raise HilError(f"--set {change!r}: expected path=value, such as plant.gain=170")
+        raise HilError(f"{option} {change!r:.60}: expected path=value, such as plant.gain=170")
     try:
         parsed = parse_toml(f"v = {value}")["v"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()
     except ValueError as e:
-        raise HilError(f"--set {path}: {e}") from e
-    set_field(raw, path, _found_here(parsed, path.rpartition(".")[2]), f"--set {change!r:.60}")
+        raise HilError(f"{option} {path}: {e}") from e
+    set_field(raw, path, _found_here(parsed, path.rpartition(".")[2]), f"{option} {change!r:.60}")
 
 
 FILE_KEYS: typing.Final = ("file", "traffic_file")

@@ -290,7 +290,10 @@ class TableCheck:
             if message.startswith("Invalid enum value"):
                 words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
                 message += f", expected one of {', '.join(map(str, words))}{nearest(value, map(str, words))}" if words else ""
-            if message.startswith("Expected `array`") and (written := form(hint)):
+            if not where and isinstance(value, str | int | float):
+                shown = str(value).lower() if isinstance(value, bool) else f"{'text ' * isinstance(value, str)}{value!r:.60}"
+                message = re.sub(r"got `\w+`$", lambda _: f"got {shown}", message)
+            if message.startswith("Expected `array") and (written := form(hint)):
                 message += f"; it is written {written}"
             path += where.rstrip("`")
             cause = e.__cause__  # what a class of its own said of its values

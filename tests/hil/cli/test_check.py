@@ -84,6 +84,7 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
 @pytest.mark.parametrize(
     ("words", "fault"),
     [
+        (("laws", "mine:Coin", "--parameter", "q"), "hil: --parameter 'q': expected path=value"),
         (("laws", "mine:Coin", "--parameter", "q=0.5"), "hil: law.q: unknown field; there are p"),
         (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Odd, Process, Twice"),
         (("laws", "nowhere:Coin"), "there is no nowhere.py in "),

@@ -209,7 +209,7 @@ def test_a_script_whose_change_is_refused_leaves_no_log(cli: Hil, tmp_path: Path
     script = tmp_path / "changes.jsonl"
     script.write_text('{"slot": 5, "field": "plant.gain", "value": "x"}\n')
     words = ("live", "dc-motor-local", "--duration", "0.5", "--script", script, "-o", tmp_path / "a.mcap")
-    assert cli(*words)[::2] == (2, "hil: change: resolved experiment: plant.gain: expected a number, got text\n")
+    assert cli(*words)[::2] == (2, "hil: change: resolved experiment: plant.gain: expected a number, got text 'x'\n")
     assert [path.name for path in tmp_path.glob("*.mcap")] == []
 
 

@@ -162,10 +162,10 @@ def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
     ("key", "value", "fault"),
     [
         ("inputs", [{"name": "force", "unit": "N"}], 'inputs[0]: expected a list, got a table; it is written ["name", "unit"]'),
-        ("inputs", ["force", "N"], 'inputs[0]: expected a list, got text; it is written ["name", "unit"]'),
-        ("outputs", "position", 'outputs: expected a list, got text; it is written [["name", "unit"], ...]'),
-        ("C", 3, "C: expected a list, got a whole number; it is written [[number, ...], ...]"),
-        ("initial_state", 3, "initial_state: expected a list, got a whole number; it is written [number, ...]"),
+        ("inputs", ["force", "N"], 'inputs[0]: expected a list, got text \'force\'; it is written ["name", "unit"]'),
+        ("outputs", "position", 'outputs: expected a list, got text \'position\'; it is written [["name", "unit"], ...]'),
+        ("C", 3, "C: expected a list, got 3; it is written [[number, ...], ...]"),
+        ("initial_state", 3, "initial_state: expected a list, got 3; it is written [number, ...]"),
     ],
 )
 def test_for_an_array_of_another_form_the_message_says_how_it_is_written(key: str, value: object, fault: str) -> None:
