@@ -146,7 +146,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     over = f", {summary['link']}" if summary["clock"] == "real" else ""  # in virtual time no frame leaves the process
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time{over}")
     took = f", in {summary['wall_s']:.2f} s" if summary["clock"] == "virtual" else ""  # real time waits for its controller, too
-    row("ran", f"{summary['slots']} slots, {summary['duration_s']:g} s{took}")
+    row("ran", f"{summary['slots']} slot{'s' * (summary['slots'] != 1)}, {summary['duration_s']:g} s{took}")
     units, titles = summary.get("units", {}), summary.get("titles", {})
     single = summary["metrics"].get("outputs", {})
     for name, value in summary["metrics"].items():

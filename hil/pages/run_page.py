@@ -120,14 +120,14 @@ def _rounded(value: float | None) -> float | str | None:
 
 
 def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    run, resolved = view.run, view.run.resolved
+    run, resolved, slots = view.run, view.run.resolved, int(summary["slots"])
     found = [
         ("Plant", str(resolved.get("plant", {}).get("kind", ""))),
         ("Controller", str(summary["controller"])),
         ("Clock", str(summary["clock"])),
         ("Link", str(summary["link"]) if summary["clock"] == "real" else ""),  # in virtual time no frame leaves the process
         ("Sample period", f"{text_of(1e3 * view.period_s)} ms"),
-        ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(int(summary['slots']))} slots"),
+        ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(slots)} slot{'s' * (slots != 1)}"),
         ("Seed", str(summary["seed"])),
     ]
     if run.session.get("started"):

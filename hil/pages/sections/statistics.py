@@ -122,7 +122,8 @@ def _frequencies(found: Mapping[str, Any], law: NetworkLaw | None, title: str, w
     counts = np.asarray(found["mode_counts"], dtype=np.float64)
     frequencies = expected_frequencies(law)
     stated = None if frequencies is None else ("stationary law", frequencies)
-    return _shares(title, counts / max(counts.sum(), 1.0), stated, what, note=f"{text_of(int(counts.sum()))} slots.")
+    slots = int(counts.sum())
+    return _shares(title, counts / max(slots, 1), stated, what, note=f"{text_of(slots)} slot{'s' * (slots != 1)}.")
 
 
 def _transitions(found: Mapping[str, Any], law: NetworkLaw | None, title: str, symbol: str) -> Matrix:
