@@ -46,6 +46,31 @@ from design.jump_linear.second_moment import (
 from design.jump_linear.stability_proof import side_of_one
 
 
+def strong_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
+    """Return the modes in classes of those that lead to each other, whether the chain leaves them or not.
+
+    >>> [each.tolist() for each in strong_classes(np.array([[0.5, 0.5, 0], [0, 0, 1], [0, 1, 0]]))]
+    [[0], [1, 2]]
+    """
+    follows, found, left = transition > 0.0, [], np.ones(len(transition), dtype=np.bool_)
+    while left.any():
+        mode = int(left.argmax())
+        own = _led_to(follows, mode) & _led_to(follows.T, mode)
+        found.append(np.flatnonzero(own))
+        left &= ~own
+    return found
+
+
+def _led_to(follows: npt.NDArray[np.bool_], mode: int) -> npt.NDArray[np.bool_]:
+    """Return to which modes a mode leads, itself among them."""
+    found: npt.NDArray[np.bool_] = np.arange(len(follows)) == mode
+    ahead = found
+    while ahead.any():
+        ahead = follows[ahead].any(axis=0) & ~found
+        found = found | ahead
+    return found
+
+
 def cyclic_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
     """Return the modes in classes of which each is followed by the next, as many as there can be; one for an aperiodic chain.
 

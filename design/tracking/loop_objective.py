@@ -13,6 +13,7 @@ import numpy.typing as npt
 from design.errors import NotStable
 from design.jump_linear import H2Derivative, H2Nearby, h2_derivative
 from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold, solve_bounded_real
+from design.jump_linear.order_of_modes import strong_classes
 from design.jump_linear.second_moment import Resolvent, expect, mean_square_radius
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.affine_loop import LoopStructure
@@ -206,9 +207,4 @@ def check_plant(A: Array, B: Array, C: Array) -> None:
 
 def closed_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
     """Sets of modes that the chain never leaves, each without a smaller one inside."""
-    from scipy.sparse.csgraph import connected_components
-
-    follows = transition > 0
-    count, own = connected_components(follows, connection="strong")
-    closed = [np.flatnonzero(own == i) for i in range(count) if not follows[own == i][:, own != i].any()]
-    return sorted(closed, key=lambda members: int(members[0]))
+    return [own for own in strong_classes(transition) if np.isin(np.flatnonzero(transition[own].any(axis=0)), own).all()]

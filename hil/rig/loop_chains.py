@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from math import gcd
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -112,9 +113,12 @@ def _in_phase(sc: DelayChain, ca: DelayChain, drawn: tuple[bool, bool]) -> tuple
         sc, ca: the chains.
         drawn: of each whether a law draws it.
     """
-    from design.jump_linear.order_of_modes import cyclic_classes
+    from design.jump_linear.order_of_modes import cyclic_classes, strong_classes
 
-    if gcd(*(len(cyclic_classes(chain.bounds[1])) for chain in settled(sc, ca))) > 1:
+    periods = []
+    for follows in (chain.bounds[1] for chain in settled(sc, ca)):
+        periods.append([len(cyclic_classes(follows[np.ix_(own, own)])) for own in strong_classes(follows)])
+    if any(gcd(*pair) > 1 for pair in product(*periods) if all(pair)):
         return sc, ca
     return replace(sc, begins=None) if drawn[0] else sc, replace(ca, begins=None) if drawn[1] else ca
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from design.verdict import Verdict
@@ -82,8 +83,11 @@ def test_two_laws_that_repeat_keep_their_phase(back: dict[str, Any]) -> None:
     gains = [[[[-6.0]], [[-6.0]]], [[[50.0]], [[50.0]]]]
     laws: dict[str, Any] = {"network.sc.max_age": 1, "network.ca.max_age": 1, "network.ca.law": back}
     laws |= {"plant": plant, "controller": {"kind": "send-all", "selection": "applied", "gains": gains}, "duration": "5 s"}
-    for first, state in (([1.0, 0.0], "certified"), ([0.0, 1.0], "refused"), ("stationary", "refused")):
+    cases = (([1.0, 0.0], "certified"), ([0.0, 1.0], "refused"), ("stationary", "refused"), ([0.5, 0.0, 0.5, 0.0], "certified"))
+    for first, state in cases:
         law = {"kind": "markov", "matrix": SWAPS, "initial": first}
+        if len(first) == 4:  # two cycles, in each of which the laws keep their phase
+            law |= {"matrix": np.kron(np.eye(2), SWAPS).tolist(), "ages": [0, 1, 0, 1]}
         changes = {"limits": {}, "reference": [], "disturbance": [], "allow_uncertified": True}
         loop = compose(load_experiment("dc-motor-h2", **{"network.sc.law": law}, **laws, **changes))
         assert loop.verdict is not None and loop.verdict.state == state, (first, loop.verdict.reason)
