@@ -16,7 +16,7 @@ from plants.errors import FieldError, PlantError, require_not_negative, require_
 from plants.parts import DiscreteStateSpace, Matrix, Signal, StateSpace, python_control
 from plants.parts.exponential import Rows
 from plants.parts.linear_run import DrivenRun, LinearRun, LinearRuns, NoisyRun
-from plants.parts.protocols import Departure, Plant, PlantRun
+from plants.parts.protocols import Departure, PassiveElement, Plant, PlantRun
 
 if TYPE_CHECKING:
     import control
@@ -107,6 +107,10 @@ class LinearPlant:
         """Return that actuators put out what is asked for, up to their limits."""
         asked = (0.0,) * len(self.inputs)
         return (Departure("saturated actuators", "input", asked, self.saturation, clips=True),) if self.saturation else ()
+
+    def passive_elements(self) -> tuple[PassiveElement, ...]:
+        """Return the saturated actuators: what they put out is cut off at their limits."""
+        return tuple(PassiveElement("saturated actuators", limit) for limit in self.saturation)
 
     def own_inputs(self) -> tuple[str, ...]:
         """Return the process noise, where there is one."""

@@ -21,8 +21,8 @@ def device(A=((0.0, 1.0), (0.0, -2.5)), B=((0.0,), (1.25,)), position=(1.0, 0.0)
     return LinearPlant(A=A, B=B, C=(position, (0.0, 0.0), (0.0, 0.0)), inputs=(Signal("force", force),), outputs=outputs, **more)
 
 
-def judged(plant):
-    changes = {**PUSH, "controller.coupler.damping_n_s_per_m": 1.9857, "allow_uncertified": True}
+def judged(plant, **more):
+    changes = {**PUSH, **more, "controller.coupler.damping_n_s_per_m": 1.9857, "allow_uncertified": True}
     loop = compose(load_experiment("omni-push", plant=plant, **changes))
     return loop, loop.verdict
 
@@ -39,6 +39,15 @@ def test_a_device_that_measures_its_position_is_certified_and_is_given_nothing()
         loop, verdict = judged(plant)
         assert verdict.certified, verdict.reason
         assert given(loop) < 1e-9
+
+
+def test_a_motor_of_matrices_that_saturates_is_taken_where_the_wall_asks_no_more():
+    """As the motor of the Omni is; the wall's force is cut off at the limit in either, and no energy is given by that."""
+    loop, verdict = judged(device(saturation=(0.5,)), **{"controller.wall.force_limit_n": 0.5})
+    assert verdict.certified and "saturated actuators: cuts the force off, as the plant says" in verdict.assumptions
+    assert given(loop) < 1e-9
+    bare = judged(device(saturation=(0.5,)))[1]
+    assert bare.state == "undecided" and "wall.force_limit_n = 0.5 keeps the wall within it" in bare.reason
 
 
 @pytest.mark.parametrize("other", [
