@@ -76,7 +76,7 @@ class LinearPlant:
                 raise FieldError(field, f"{len(names)} signals, but the matrices have {size}")
             for name in names:
                 if not _NAME.fullmatch(name):
-                    raise FieldError(field, f"{name!r} is no name; expected lower-case letters, digits and _")
+                    raise FieldError(field, f"{name!r} is no name; expected a letter, then lower-case letters, digits and _")
                 if names.count(name) > 1:
                     raise FieldError(field, f"{name!r} is taken twice")
         start = self.initial_state or (0.0,) * n

@@ -129,7 +129,7 @@ class Network(Table, frozen=True, kw_only=True):
         for field in ("nodes", "media"):
             for name in values.get(field, {}):
                 if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name):
-                    yield f"{field}.{name:.60}: expected a name of lower-case letters, digits and _"
+                    yield f"{field}.{name:.60}: expected a letter and up to 40 more: lower-case letters, digits and _"
 
 
 class Links(Table, frozen=True, kw_only=True):

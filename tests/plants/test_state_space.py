@@ -172,7 +172,7 @@ def test_what_a_rig_cannot_move_is_refused(form: str, given: tuple[Any, ...], fa
         ({"A": ((1.0, 2.0), (3.0,))}, "A: expected rows"),
         ({"B": ((1.0,),)}, "B: shape"),
         ({"C": ((float("nan"), 0.0),)}, r"C\[0\]\[0\]"),
-        ({"inputs": (Signal("Force", "N"),)}, "inputs: 'Force' is no name"),
+        ({"inputs": (Signal("Force", "N"),)}, "inputs: 'Force' is no name; expected a letter, then"),
         ({"states": (Signal("x", "1"), Signal("x", "1"))}, "taken twice"),
         ({"outputs": (Signal("a", "1"), Signal("b", "1"))}, "outputs: 2 signals"),
         ({"initial_state": (0.0,)}, "initial_state"),
