@@ -120,7 +120,7 @@ FAULTS: list[tuple[str, str, str]] = [
     ("disturbance without samples", changed("samples = 2", "samples = 0"), "disturbance[0].samples: 0 is below 1"),
     ("disturbance of the wrong width", changed("value = [0.1]", "value = []"), "disturbance[0].value: length 0, expected 1"),
     ("limit of an unknown state", changed("angle = 20.0", "angel = 20.0"), "limits.state.angel: the plant has no such state"),
-    ("a node of 42 letters", changed("[network]", f"[network.nodes.{'a' * 42}]\n[network]"), "a: expected a letter and up to 40"),
+    ("node of 42 letters", GOOD + f"\n[network.nodes.{'a' * 42}]\noutputs = ['angle']", "a: expected a letter and up to 40"),
     ("limits that are no list", changed("input = [5.0]", "input = true"), "limits.input: expected a list or nothing, got true; "
                                                                           "it is written [number, ...]"),
     ("limit that is zero", changed("input = [5.0]", "input = [0.0]"), "limits.input[0]: 0 is not positive"),
