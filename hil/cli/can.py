@@ -90,7 +90,7 @@ def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, res
     """Act as CAN controller between a SocketCAN interface and a bus with time: hil can bridge rig0 vcan0 --bitrate 500k
 
     What programs send on INTERFACE, such as vcan0, goes onto the bus CHANNEL (can:hil:CHANNEL?timed=1) in its turn; what others
-    send there, and the error frames of this controller, come onto INTERFACE. Runs until Ctrl-C.
+    send there, and the error frames of this controller, come onto INTERFACE. Runs until Ctrl-C, or INTERFACE is gone.
     """
     from transport.links.can_bus import HilBus, bridge
     from transport.links.python_can import can

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -190,6 +191,21 @@ def test_a_full_transmit_buffer_is_an_error_of_the_sender() -> None:
             lone.send(message(n))
         with pytest.raises(can.CanOperationError, match="the transmit buffer is full"):
             lone.send(message(0x7FF))
+
+
+def test_a_bridge_ends_with_its_interface_and_not_while_it_is_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It went on without a word where the interface had been deleted, and nothing passed any more."""
+
+    numbers = [errno.ENODEV, errno.ENETDOWN]
+
+    def recv(_: float | None) -> can.Message | None:
+        number = numbers.pop()
+        raise can.CanOperationError(f"Error receiving: {os.strerror(number)}", number)
+
+    with bus() as controller, can.Bus("if0", interface="hil") as interface:
+        monkeypatch.setattr(interface, "recv", recv)
+        with pytest.raises(can.CanOperationError, match="No such device"):
+            can_bus.bridge(controller, interface)
 
 
 def test_a_bridge_is_the_controller_of_an_interface_between_its_programs_and_a_bus_that_takes_time(

@@ -20,6 +20,7 @@ from __future__ import annotations
 import select
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from errno import ENODEV
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from transport.links import TransportError
@@ -246,7 +247,10 @@ def bridge(bus: HilBus, interface: can.BusABC) -> NoReturn:
 
     Args:
         bus: joined with ``timed=True``, and with ``berr_reporting=True`` where every destroyed frame is to be an error frame.
-        interface: a bus of python-can's ``socketcan``.
+        interface: a bus of python-can's ``socketcan``; one that is down works again when it is up.
+
+    Raises:
+        can.CanError: the interface is gone for good.
     """
     ready = select.poll()
     for each in (bus, interface):
@@ -266,8 +270,13 @@ def bridge(bus: HilBus, interface: can.BusABC) -> NoReturn:
 
 
 def _received(bus: can.BusABC) -> can.Message | None:
-    with suppress(can.CanError, OSError):
+    try:
         return bus.recv(0)
+    except OSError:
+        pass
+    except can.CanError as error:
+        if error.error_code == ENODEV:
+            raise
     return None
 
 
