@@ -176,7 +176,7 @@ def _in_the_run(verdict: Verdict, *, damped: bool = False, anywhere: bool = Fals
     if isinstance(found, str):
         why = found
     elif verdict.state == "refused" and any(said.endswith(ANY_PHASE) for said in verdict.assumptions):
-        why = "which phases of both directions meet then is not known"
+        why = "which phases of what repeats meet then is not known"
     elif verdict.quantity == UNTIL_ALL_CAME:
         why = "which nodes a packet has come of by then is not known"
     elif anywhere:

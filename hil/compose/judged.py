@@ -126,12 +126,14 @@ def _problem(
     behind: float,
 ) -> CertificationProblem:  # fmt: skip
     """Return the loop of the controller that is named, as it is judged; `behind`: see `chance_behind_cuts`."""
-    found = loop_chains(rig, chains, controller, model)
+    found = loop_chains(rig, chains, controller, model, in_phase=in_phase)
     sc, ca, chainless, unmet = found.sc, found.ca, found.chainless, found.unmet
     repeat = sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None)
-    if repeat and not in_phase and sc is not None and ca is not None:
-        sc, ca, repeat = replace(sc, begins=None), replace(ca, begins=None), False
-        unmet = f"{unmet}; {ANY_PHASE}" if unmet else ANY_PHASE
+    if not in_phase and sc is not None and ca is not None:
+        begun = loop_chains(rig, chains, controller, model).sc
+        if repeat or begun is None or begun.modes < sc.modes:
+            sc, ca, repeat = replace(sc, begins=None), replace(ca, begins=None), False
+            unmet = f"{unmet}; {ANY_PHASE}" if unmet else ANY_PHASE
     if repeat:
         unmet = f"{unmet}; {IN_PHASE}" if unmet else IN_PHASE
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):

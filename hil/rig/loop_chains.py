@@ -39,7 +39,7 @@ OLDEST_DISTINGUISHED = 16
 """Ages that are distinguished for a controller whose matrices all of them change."""
 
 
-ANY_PHASE = "both directions repeat, and any of their phases may meet"
+ANY_PHASE = "directions or clocks repeat, and any of their phases may meet"
 IN_PHASE = "both directions repeat, and meet in the phases in which they begin in slot 0"
 
 
@@ -58,7 +58,9 @@ class LoopChains(NamedTuple):
     shares: tuple[float, ...] = ()
 
 
-def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel) -> LoopChains:
+def loop_chains(
+    rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, *, in_phase: bool = True
+) -> LoopChains:
     """Return the chains of both delays of a loop as it runs.
 
     Args:
@@ -66,6 +68,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         chains: those that designs take, with the labels of this controller.
         controller: what runs.
         model: what it knows of the loop.
+        in_phase: whether the laws of the sensor nodes begin with their clocks; else any of their phases may meet.
     """
     if can_bus_of(rig) is not None:
         try:
@@ -93,7 +96,8 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
 
         distinguished = _distinguished(controller, model)
         try:
-            found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
+            bands = _beside_bands(rig, controller, distinguished)
+            found = received_ages(rig, chains.arriving, distinguished, bands=bands, in_phase=in_phase)
         except NotKnown as why:
             return LoopChains(None, ca, "", str(why))
         return LoopChains(*settled(*_in_phase(found, ca, drawn)), "", "", *_slack(rig))

@@ -43,7 +43,7 @@ class State(NamedTuple):
 
 
 def received_ages(
-    rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: str = ""
+    rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: str = "", in_phase: bool = True
 ) -> DelayChain:
     """Return the chain of the ages of every output's newest sample at the controller.
 
@@ -55,6 +55,7 @@ def received_ages(
         distinguished: how many ages 0, 1, ... the controller distinguishes, of the oldest sample or of every node; the last for
             all beyond.
         bands: why the error of a node with a dead band or a relative trigger is not bounded, a phrase; empty: it is bounded.
+        in_phase: whether the laws begin with the clocks in slot 0; else in any slot of their cycle.
 
     Raises:
         NotKnown: there is none.
@@ -90,7 +91,7 @@ def received_ages(
     waiting = {n for medium in media if medium.waits for n in medium.members}
     waits = [s.clock.every - 1 if n in waiting else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
     far = [max(each.oldest + wait, count - 2) + 1 for each, wait, count in zip(channels, waits, counts)]  # received before: held
-    states, steps = _explored(sensors, media, channels, far)
+    states, steps = _explored(sensors, media, channels, far, in_phase)
     if not states:
         raise NotKnown(f"media, clocks and laws together have more than {MOST_STATES} states")
     ages = np.zeros((len(states), len(rig.outputs)), dtype=np.int64)
@@ -117,9 +118,9 @@ def received_ages(
 
 
 def _explored(
-    sensors: Sequence[Sensor], media: Sequence[SlottedMedium], channels: Sequence[Channel], far: Sequence[int]
+    sensors: Sequence[Sensor], media: Sequence[SlottedMedium], channels: Sequence[Channel], far: Sequence[int], in_phase: bool
 ) -> tuple[dict[State, bool], list[tuple[int, int, Chance]]]:
-    """Return every reachable state (true: in slot 0), and the transitions between them; nothing if there are too many."""
+    """Return every reachable state (true: of a beginning), and the transitions between them; nothing if there are too many."""
     free = [n for n in range(len(sensors)) if not any(n in medium.members for medium in media)]
     cycle = lcm(*(s.clock.every for s in sensors), *(medium.cycle for medium in media))
     if cycle > MOST_STATES:
@@ -127,8 +128,7 @@ def _explored(
     due = [[sensors[n].clock.every == 1 or t % sensors[n].clock.every == sensors[n].clock.phase
             for n in range(len(sensors))] for t in range(cycle)]  # fmt: skip
 
-    def successors(state: State | None) -> Iterator[tuple[State, Chance]]:
-        t = 0 if state is None else (state.phase + 1) % cycle
+    def successors(state: State | None, t: int) -> Iterator[tuple[State, Chance]]:
         law_outcomes = [
             [(at, SURE) for at in channel.begins] if state is None else channel.follows(state.laws[n])
             for n, channel in enumerate(channels)
@@ -153,11 +153,16 @@ def _explored(
                     media_states, on_way = tuple(m for m, _, _ in media_now), tuple(samples for samples, _ in on_way_now)
                     yield State(t, media_states, laws, on_way), tuple(chances)  # type: ignore[misc]
 
-    reachable: dict[State, bool] = dict.fromkeys((state for state, _ in successors(None)), True)
+    reachable: dict[State, bool] = {}
+    for t in range(1 if in_phase else cycle):
+        for state, _ in successors(None, t):
+            reachable[state] = True
+            if len(reachable) > MOST_STATES:
+                return {}, []
     number, unexplored, transitions = {state: i for i, state in enumerate(reachable)}, list(reachable), []
     while unexplored:
         state = unexplored.pop()
-        for following, chances in successors(state):
+        for following, chances in successors(state, (state.phase + 1) % cycle):
             if following not in number:
                 number[following] = len(number)
                 reachable[following] = False

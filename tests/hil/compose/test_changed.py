@@ -14,10 +14,12 @@ from hil.compose.changed import changed, is_schedule
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.read import read_run
+from hil.log.run import Run
 from hil.log.topics import APPLIED, CA, REFERENCE, SC, STATE, channels_of
 from hil.log.write import MemorySink
 from hil.pages.live.script import Scripted, read_script, script_of
 from hil.rig.loop import Loop
+from hil.runtime.changes import Change
 from hil.runtime.virtual import run_virtual
 from hil.session import Session, run_session
 from hil.session.replay.recorded import ChangeRequest, changes_of
@@ -407,8 +409,30 @@ def test_a_law_that_begins_anew_meets_the_other_direction_in_another_phase() -> 
     assert loop.verdict is not None and loop.verdict.certified, loop.verdict
     assert any("meet in the phases in which they begin" in said for said in loop.verdict.assumptions)
     verdict = changed(loop, 101, "network.sc.law.initial", [0.0, 1.0]).verdict
-    assert verdict is not None and verdict.state == "undecided" and "which phases of both directions meet" in verdict.reason
+    assert verdict is not None and verdict.state == "undecided" and "which phases of what repeats meet" in verdict.reason
     verdict = changed(loop, 101, "controller", {"kind": "local", "gain": [[-6.0]]}).verdict  # stable, whichever phases meet
     assert verdict is not None and verdict.certified and verdict.details["modes"] == 4
     assert any("any of their phases may meet" in said for said in verdict.assumptions)
     assert changed(loop, 101, "reference", [1.0]).verdict == loop.verdict
+
+
+def test_a_law_that_begins_anew_meets_a_clock_in_another_phase() -> None:
+    """Begun in slot 0 with the clock the loop decays, and is certified; the same law, begun anew in the run, lets it grow."""
+    law = "{kind='markov',matrix=[[0.0,1.0],[1.0,0.0]],initial=[1.0,0.0]}"
+    sets = ["plant={kind='state-space',A=[[3.0]],B=[[1.0]],C=[[1.0]],initial_state=[1.0]}", f"network.sc={{max_age=2,law={law}}}",
+            "network.nodes={only={outputs=['y1'],clock={every=2}}}", "network.ca={max_age=0,law={kind='constant',age=0}}",
+            "controller={kind='local',gain=[[-8.0]]}", "period=0.1", "duration=30", "limits={}", "reference=[]",
+            "disturbance=[]"]  # fmt: skip
+    loop, grown, path = compose(load_experiment("dc-motor-h2", sets)), [], "network.sc.law.initial"
+    assert loop.verdict is not None and loop.verdict.certified
+    for k in (100, 101):
+        after = changed(loop, k, path, [1.0, 0.0])
+        assert after.verdict is not None and after.verdict.state == "undecided"
+        assert "which phases of what repeats meet" in after.verdict.reason
+        sink, change = MemorySink(channels_of(loop), [STATE.name]), Change(path=path, value=[1.0, 0.0], loop=after)
+        run_virtual(loop, 0, sink, changes=lambda slot, at=k, made=change: (made,) if slot == at else ())  # type: ignore[misc]
+        x = np.abs(Run.from_memory(sink, summary={}).arrays[STATE.name]["x1"])
+        grown.append(bool(x[-1] > 100.0 * x[k + 10]))
+    assert grown == [True, False]
+    faster = changed(loop, 100, "controller", {"kind": "local", "gain": [[-4.0]]}).verdict  # stable, whichever phases meet
+    assert faster is not None and faster.certified
