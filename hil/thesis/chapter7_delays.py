@@ -22,9 +22,9 @@ from design.tracking.synthesis import TrackingProblem, solve
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.pages import Figure, Series
-from hil.thesis import Plot, ReportProgress
+from hil.thesis import Array, Plot, ReportProgress
 from hil.thesis.chapter7_designs import NAME, PLANTS, TIE, best
-from hil.thesis.chapter7_models import H2, NETWORK, Array, Plant, motor
+from hil.thesis.chapter7_models import H2, NETWORK, Plant, motor
 from hil.thesis.chapter7_runs import BATCH_RUNS, on_all_cores, squared_error
 from hil.thesis.statements import ERRORS, above, below, exactly, statement
 from plants.dc_motor import DCMotor

@@ -18,21 +18,8 @@ from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.design_questions import problem_for, tracking_target
 from hil.design_questions.plant_uncertainty import PlantSet, interval, judge_uncertain, plants_between, robust_design
 from hil.pages import BarGroup, Bars, Figure, Series
-from hil.thesis import Plot, ReportProgress
-from hil.thesis.chapter7_models import (
-    H2,
-    HALF,
-    HINF,
-    NETWORK,
-    PRINTED_MOTOR,
-    VTOL_H2,
-    VTOL_HINF,
-    Array,
-    Plant,
-    motor,
-    norm_of,
-    vtol,
-)
+from hil.thesis import Array, Plot, ReportProgress
+from hil.thesis.chapter7_models import H2, HALF, HINF, NETWORK, PRINTED_MOTOR, VTOL_H2, VTOL_HINF, Plant, motor, norm_of, vtol
 from hil.thesis.chapter7_runs import on_all_cores
 from hil.thesis.statements import above, below, equal, exactly, not_judged, says, statement, within
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
@@ -17,13 +16,11 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
 from hil.design_questions import LAMBDA, PI, PRINTED_VTOL
-from hil.thesis import ReportProgress
+from hil.thesis import Array, ReportProgress
 from hil.thesis.statements import ERRORS, above, below, equal, exactly, statement, within
 from plants import VTOL, DCMotor
 from transport.packets import encode_control
 from transport.wire import FD_LENGTHS, ControlPacket
-
-Array = npt.NDArray[np.float64]
 
 PRINTED_MOTOR = (np.array([[1.00021, 0.00460], [0.00460, 0.00004]]), np.array([[0.34868], [7.68069]]))
 HINF = np.array([[-0.1576, -0.1318], [-0.0878, 0.0091], [-0.0342, 0.0074]]).reshape(3, 2, 1, 1)

@@ -23,8 +23,8 @@ from hil.measure.prediction import predict
 from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
 from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
-from hil.thesis import ReportProgress
-from hil.thesis.chapter7_models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, Array, everywhere, vtol
+from hil.thesis import Array, ReportProgress
+from hil.thesis.chapter7_models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
 from hil.thesis.judgement import rank
 from hil.thesis.statements import above, not_judged, run, statement
 
