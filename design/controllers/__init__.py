@@ -26,14 +26,9 @@ if TYPE_CHECKING:
     from design.controllers.contract import Selection as Selection
     from design.controllers.contract import SeveralSamples as SeveralSamples
     from design.controllers.contract import SojournDependent as SojournDependent
-    from design.controllers.contract import ages_distinguished as ages_distinguished
     from design.controllers.contract import check_row_sojourns as check_row_sojourns
-    from design.controllers.contract import integral_limit as integral_limit
-    from design.controllers.contract import integrates as integrates
-    from design.controllers.contract import packet_samples as packet_samples
+    from design.controllers.contract import controller_traits as controller_traits
     from design.controllers.contract import row_count as row_count
-    from design.controllers.contract import row_sojourns_distinguished as row_sojourns_distinguished
-    from design.controllers.contract import sojourns_distinguished as sojourns_distinguished
     from design.controllers.gain_rows import GainIndex as GainIndex
     from design.controllers.gain_rows import feedforward as feedforward
     from design.controllers.gain_rows import held_exactly as held_exactly

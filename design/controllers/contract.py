@@ -260,29 +260,36 @@ class DistinguishesAges(Protocol):
     """How many ages 0, 1, ... of each node have gains of their own; empty: gains by the oldest age."""
 
 
-def ages_distinguished(controller: object) -> tuple[int, ...]:
-    """Return how many ages of each node the controller distinguishes, see `DistinguishesAges`; none: an empty tuple."""
-    return tuple(controller.ages) if isinstance(controller, DistinguishesAges) else ()
+class ControllerTraits(Struct, frozen=True, kw_only=True):
+    """What a controller says of its packets and gains; the defaults are those of one that says nothing.
+
+    Args:
+        samples: how many one sensor packet carries, see `SeveralSamples`.
+        integrates: whether it integrates the measured error, see `IntegralAction`.
+        integral_limit: size at which the sum of each output's errors is clamped, see `ClampedIntegral`; empty: no clamp.
+        sojourns: lengths of stay at the measured delay that it distinguishes, see `SojournDependent`; empty: none.
+        row_sojourns: lengths of stay at d that have a row each, see `RowsOfStays`.
+        ages: how many ages of each node it distinguishes, see `DistinguishesAges`; empty: none.
+    """
+
+    samples: int = 1
+    integrates: bool = False
+    integral_limit: tuple[float, ...] = ()
+    sojourns: int | Sequence[int] = ()
+    row_sojourns: int = 1
+    ages: tuple[int, ...] = ()
 
 
-def packet_samples(controller: object) -> int:
-    """Return how many samples one sensor packet carries for this controller: 1 unless it asks for `SeveralSamples`."""
-    return int(controller.samples) if isinstance(controller, SeveralSamples) else 1
-
-
-def integrates(controller: object) -> bool:
-    """Return whether the controller has `IntegralAction`, and uses it."""
-    return isinstance(controller, IntegralAction) and bool(controller.integral)
-
-
-def integral_limit(controller: object) -> tuple[float, ...]:
-    """Return at what size the sum of each output's errors is clamped, see `ClampedIntegral`; no clamp: an empty tuple."""
-    return tuple(controller.integral_limit) if isinstance(controller, ClampedIntegral) else ()
-
-
-def sojourns_distinguished(controller: object) -> int | Sequence[int]:
-    """Return which lengths of stay the controller distinguishes, see `SojournDependent`; none: an empty tuple."""
-    return controller.sojourns if isinstance(controller, SojournDependent) else ()
+def controller_traits(controller: object) -> ControllerTraits:
+    """Return what a controller says of its packets and gains."""
+    return ControllerTraits(
+        samples=int(controller.samples) if isinstance(controller, SeveralSamples) else 1,
+        integrates=isinstance(controller, IntegralAction) and bool(controller.integral),
+        integral_limit=tuple(controller.integral_limit) if isinstance(controller, ClampedIntegral) else (),
+        sojourns=controller.sojourns if isinstance(controller, SojournDependent) else (),
+        row_sojourns=int(controller.row_sojourns) if isinstance(controller, RowsOfStays) else 1,
+        ages=tuple(controller.ages) if isinstance(controller, DistinguishesAges) else (),
+    )
 
 
 def check_row_sojourns(row_sojourns: int, rule: str, field: str) -> None:
@@ -301,8 +308,3 @@ def check_row_sojourns(row_sojourns: int, rule: str, field: str) -> None:
     if row_sojourns > 1 and rule != "applied":
         said = f"{row_sojourns}, but {field} is {rule!r}; it needs 'applied', as the actuator counts the stay"
         raise FieldError("row_sojourns", said)
-
-
-def row_sojourns_distinguished(controller: object) -> int:
-    """Return how many lengths of stay at d have a row each, see `RowsOfStays`; 1 of a controller that has one for every d."""
-    return int(controller.row_sojourns) if isinstance(controller, RowsOfStays) else 1

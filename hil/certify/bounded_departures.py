@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from design.controllers import GainTable, LoopModel, integral_limit
+from design.controllers import GainTable, LoopModel, controller_traits
 from design.errors import DesignError, NotStable
 from design.jump_linear import STABILITY_MARGIN
 from design.verdict import Verdict
@@ -63,7 +63,8 @@ class Pushed(Struct, frozen=True, kw_only=True):
 
 def clamped_share(loop: CertificationProblem) -> Array:
     """Return what the clamped sums of errors add to each input at most, (m,), in any row that the actuator may apply."""
-    share, limit, p = np.zeros(loop.motion.B.shape[1]), np.array(integral_limit(loop.controller)), len(loop.motion.C)
+    share, p = np.zeros(loop.motion.B.shape[1]), len(loop.motion.C)
+    limit = np.array(controller_traits(loop.controller).integral_limit)
     if limit.size and isinstance(loop.controller, GainTable):
         share = (np.abs(table_of(loop, loop.controller)[..., -p:]) @ limit).max(axis=(0, 1))
     return share
@@ -132,14 +133,14 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         verdict: on the linear loop; where a sum of errors is clamped, on the loop without it.
         modes: makes the closed loop of a plant, without a clamped sum too.
     """
-    share = clamped_share(loop)
-    if loop.shares and integral_limit(loop.controller):
+    share, clamped = clamped_share(loop), controller_traits(loop.controller).integral_limit
+    if loop.shares and clamped:
         return _undecided(verdict, f"{CLAMPED} beside a relative trigger")
     if loop.shares:
         beside = "a dead-band trigger beside a relative one"
         return limited_to_model(loop.plant, _undecided(verdict, beside) if loop.slack else _by_share(loop, verdict, modes))
     pushed = pushed_by(loop, share)
-    if integral_limit(loop.controller) and (pushed is None or not verdict.certified):
+    if clamped and (pushed is None or not verdict.certified):
         return _undecided(verdict, CLAMPED)
     if pushed is None or not verdict.certified:
         return limited_to_model(loop.plant, verdict) if not loop.slack else _undecided(verdict, "a dead-band trigger")

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from design.controllers import GainTable, packet_samples, row_sojourns_distinguished, sojourns_distinguished
+from design.controllers import GainTable, controller_traits
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify import CertificationProblem
@@ -151,11 +151,10 @@ def not_judged(loop: CertificationProblem) -> str:
 
 def _first_rows(loop: CertificationProblem) -> str:
     """Return why the first rows of a run, before any sample or packet, are not those of the loop; empty: they are the same."""
-    controller = loop.controller
-    if packet_samples(controller) > 1:
+    controller, its = loop.controller, controller_traits(loop.controller)
+    if its.samples > 1:
         return "its first packets repeat their sample"
-    sojourns = sojourns_distinguished(controller)
-    if row_sojourns_distinguished(controller) > 1 or (sojourns if isinstance(sojourns, int) else max(sojourns, default=1)) > 1:
+    if its.row_sojourns > 1 or (its.sojourns if isinstance(its.sojourns, int) else max(its.sojourns, default=1)) > 1:
         return "its stays are counted from its first packet on"
     nodes = loop.model.nodes
     together = not (nodes.turns or nodes.mixed or nodes.silent) and None not in nodes.delays and len(set(nodes.delays)) == 1

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from msgspec.structs import replace
 
-from design.controllers import GainTable, integral_limit, integrates, packet_samples
+from design.controllers import GainTable, controller_traits
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, table_of
@@ -70,9 +70,10 @@ def ends_from_anywhere(
         adds: what departures add to each output, at most, (p,).
     """
     controller, m, p = loop.controller, loop.motion.B.shape[1], len(loop.motion.C)
-    if not isinstance(controller, GainTable) or packet_samples(controller) > 1 or (m, p) != (1, 1):
+    its = controller_traits(controller)
+    if not isinstance(controller, GainTable) or its.samples > 1 or (m, p) != (1, 1):
         return verdict
-    if integrates(controller) and not integral_limit(controller):
+    if its.integrates and not its.integral_limit:
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict

@@ -13,17 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import (
-    AgedFeedback,
-    GainTable,
-    LinearFeedback,
-    LinearLaw,
-    LoopModel,
-    RowsLaw,
-    integral_limit,
-    integrates,
-    packet_samples,
-)
+from design.controllers import AgedFeedback, GainTable, LinearFeedback, LinearLaw, LoopModel, RowsLaw, controller_traits
 from design.errors import FieldError, NotStable
 from design.jump_linear.order_of_modes import growth_in_every_order
 from design.processes.delay_chain import DelayChain
@@ -105,7 +95,8 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
-    clamped = bool(integral_limit(controller))  # its sum counts as a departure at the input
+    its = controller_traits(controller)
+    clamped = bool(its.integral_limit)  # its sum counts as a departure at the input
     try:
         table = table_of(loop, controller)
         table = table[..., : -len(loop.motion.C)] if clamped else table
@@ -113,7 +104,7 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     except FieldError as error:
         return undecided(loop, "mean-square stability", str(error))
     sc, ca, selection = loop.sc, loop.ca, controller.selection
-    samples, integral = packet_samples(controller), float(integrates(controller) and not clamped)
+    samples, integral = its.samples, float(its.integrates and not clamped)
 
     from design.networked_loop.certify import certify_loop
     from design.networked_loop.closed_loop import loop_structure

@@ -16,13 +16,8 @@ from design.controllers import (
     LoopModel,
     ModeSchedule,
     SendAll,
-    ages_distinguished,
-    integral_limit,
-    integrates,
+    controller_traits,
     nested,
-    packet_samples,
-    row_sojourns_distinguished,
-    sojourns_distinguished,
 )
 from design.controllers.rendered_wall import WallController
 from design.verdict import State
@@ -111,14 +106,14 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Excitation] | Non
     p = model.C.shape[0]
     if isinstance(controller, GainTable):
         K = table_of(loop, controller)
-        samples, stays = packet_samples(controller), sojourns_distinguished(controller)
-        lengths = (stays,) if isinstance(stays, int) else tuple(stays)
+        its = controller_traits(controller)
+        lengths = (its.sojourns,) if isinstance(its.sojourns, int) else tuple(its.sojourns)
         table = SendAll(
-            gains=nested(K), selection=controller.selection, integral=integrates(controller), samples=samples,
-            integral_limit=integral_limit(controller), sojourns=() if isinstance(stays, int) else lengths,
-            ages=ages_distinguished(controller), row_sojourns=row_sojourns_distinguished(controller),
+            gains=nested(K), selection=controller.selection, samples=its.samples, ages=its.ages, integral=its.integrates,
+            integral_limit=its.integral_limit, sojourns=() if isinstance(its.sojourns, int) else lengths,
+            row_sojourns=its.row_sojourns,
         )  # fmt: skip
-        return table, random_excitation(model, width=p * samples, longest=max(lengths, default=1), far=True)
+        return table, random_excitation(model, width=p * its.samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):
         from design.controllers import OutputFeedback
 
@@ -143,7 +138,7 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Excitation] | Non
     if isinstance(controller, WallController):
         from design.controllers.virtual_wall import VirtualWall
 
-        samples = packet_samples(controller)
+        samples = controller_traits(controller).samples
         wall = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
         return wall, wall_excitation(model, samples)
     return None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from design.controllers import packet_samples
+from design.controllers import controller_traits
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, limited_to_model, undecided
@@ -49,7 +49,7 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
         if its.max_delay > sc:
             late = f"samples come up to {its.max_delay} slots old, and the wall waits for {sc}: raise network.sc.max_age"
             return undecided(loop, "passivity", f"{late}, or discard_older = {sc} in the law")
-        needed, has = 1 + sc - int(its.delay.min()), packet_samples(controller)
+        needed, has = 1 + sc - int(its.delay.min()), controller_traits(controller).samples
         if has < needed:
             short = f"[controller] equalises delays of {its.delay.min()} to {sc} slots, which takes {needed} samples a packet"
             return undecided(loop, "passivity", f"{short}; it has {has}")

@@ -15,16 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from msgspec import Struct
 
-from design.controllers import (
-    GainTable,
-    LinearFeedback,
-    ages_distinguished,
-    feedforward,
-    integral_limit,
-    integrates,
-    packet_samples,
-    sojourns_distinguished,
-)
+from design.controllers import GainTable, LinearFeedback, controller_traits, feedforward
 from design.controllers.gain_rows import sojourn_ranges
 from hil.errors import HilError
 from hil.rig.loop import Array, Loop
@@ -248,16 +239,15 @@ def law_tables(loop: Loop) -> LawTables:
     m, p = model.B.shape[1], model.C.shape[0]
     if isinstance(controller, GainTable):
         K = np.asarray(controller.table(model), dtype=float)
-        integral, samples = integrates(controller), packet_samples(controller)
-        stays, ages = sojourns_distinguished(controller), ages_distinguished(controller)
-        sojourns = (1,) * len(K) if isinstance(stays, int) or not stays else tuple(stays)
-        width = p * (samples + integral)
-        moved = np.zeros((p * integral, width))  # the sum of the newest errors
+        its = controller_traits(controller)
+        sojourns = (1,) * len(K) if isinstance(its.sojourns, int) or not its.sojourns else tuple(its.sojourns)
+        width = p * (its.samples + its.integrates)
+        moved = np.zeros((p * its.integrates, width))  # the sum of the newest errors
         for i in range(len(moved)):
-            moved[i, [i, p * samples + i]] = 1.0
+            moved[i, [i, p * its.samples + i]] = 1.0
         return LawTables(
-            omega=feedforward(model), gains=K, state=moved, state_first=False, samples=samples,
-            ages=ages if len(ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)), limit=integral_limit(controller),
+            omega=feedforward(model), gains=K, state=moved, state_first=False, samples=its.samples,
+            ages=its.ages if len(its.ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)), limit=its.integral_limit,
         )  # fmt: skip
     if isinstance(controller, LinearFeedback):
         law = controller.linear_law(model)

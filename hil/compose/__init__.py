@@ -18,12 +18,10 @@ from design.controllers import (
     HistoryGains,
     IntegralAction,
     LoopModel,
+    controller_traits,
     held_exactly,
-    integrates,
     nearest_held,
-    packet_samples,
     row_count,
-    row_sojourns_distinguished,
 )
 from design.controllers.rendered_wall import RendersWall
 from design.errors import DesignError, FieldError
@@ -38,7 +36,7 @@ from hil.plugins.registry import OBJECT
 from hil.plugins.user_plugins import Designer, FieldFault, GainsOnFile, GivesGains, NamedController, words
 from hil.rig import RigSpec, in_words_of_parts, rig_of
 from hil.rig.can_bus import can_bus_of
-from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
+from hil.rig.delay_chains import Chains, chains_for, without_held
 from hil.rig.loop import Gains, Loop
 from hil.rig.named_files import with_named_files
 from plants.errors import PlantError
@@ -153,12 +151,13 @@ def _compose(
         if is_own(kind) or kind.startswith(OBJECT):
             check_own(controller, model)
         running = controller.start(model)
-        if chains is None or labels_of(controller) != labels_of(asked.controller):
+        its, wanted = controller_traits(controller), controller_traits(asked.controller)
+        samples = its.samples
+        if chains is None or its != wanted:
             chains = chains_for(rig, controller)
-        if (rows := row_count(running.selection, model.d_max, row_sojourns_distinguished(controller))) > MAX_ROWS:
+        if (rows := row_count(running.selection, model.d_max, its.row_sojourns)) > MAX_ROWS:
             raise FieldError("selection", f"{running.selection} needs {rows} rows, a packet carries {MAX_ROWS}")
-        samples = packet_samples(controller)
-        if (samples, rig.row_sojourns) != (packet_samples(asked.controller), row_sojourns_distinguished(controller)):
+        if (samples, rig.row_sojourns) != (wanted.samples, its.row_sojourns):
             rig = rig_of(experiment)  # packets have as many samples and rows as the controller takes and gives
         check_references(experiment, controller, model)
         if samples > 1 and (len(rig.sensors) > 1 or rig.sensors[0].buffer < samples):
@@ -265,7 +264,7 @@ def check_references(e: Experiment, controller: Controller, model: LoopModel) ->
         for i, step in enumerate(e.reference)
         if not held_exactly(model.A, model.B, model.C, step.value)
     ]
-    if integrates(controller):
+    if controller_traits(controller).integrates:
         faults.append(f"controller.integral: {n_inputs} inputs cannot make the mean errors of {n_outputs} outputs zero")
     if faults:
         raise ExperimentError(e.name, faults)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, integral_limit, integrates
+from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, controller_traits
 from design.errors import TooLarge
 from design.verdict import Verdict
 from hil.certify import CertificationProblem
@@ -189,15 +189,15 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
 
     if not isinstance(loop.controller, GainTable) or isinstance(loop.experiment.plant, JumpPlant):
         return None
-    sc, ca = loop.chains.sc, loop.chains.ca
-    if sc is None or ca is None or integral_limit(loop.controller):
+    sc, ca, its = loop.chains.sc, loop.chains.ca, controller_traits(loop.controller)
+    if sc is None or ca is None or its.integral_limit:
         return None
     if (first := loop.chains.initial()) is not None:
         sc, ca = within_reach(sc, first[0]), within_reach(ca, first[1])
     model, controller = loop.model, loop.controller
     try:
         structure = loop_structure(
-            model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(integrates(controller))
+            model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(its.integrates)
         )
     except TooLarge as error:
         return FourthMoments(radius=None, state="undecided", reason=str(error))

@@ -10,14 +10,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from design.controllers import (
-    GainTable,
-    feedforward,
-    integral_limit,
-    integrates,
-    row_sojourns_distinguished,
-    sojourns_distinguished,
-)
+from design.controllers import GainTable, controller_traits, feedforward
 from hil.measure.signals import AFTER_S, Array, signals_of, target_of
 from hil.measure.tracking import squared_unit
 from hil.rig import motion_of
@@ -93,7 +86,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     plant, controller, sc, ca = loop.experiment.plant, loop.controller, loop.chains.sc, loop.chains.ca
     if (
         not isinstance(controller, GainTable)
-        or integral_limit(controller)
+        or controller_traits(controller).integral_limit
         or sc is None
         or ca is None
         or loop.experiment.fault
@@ -121,7 +114,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
             tracked = [list(signals.outputs).index(name) for name in group]
             found = predict_tracking(
                 model.A, model.B, model.C, sc, ca, gains_over(controller, model, sc, ca), controller.selection, r,
-                period_s=model.period_s, disturbance=w, samples=loop.samples, integral=integrates(controller),
+                period_s=model.period_s, disturbance=w, samples=loop.samples, integral=controller_traits(controller).integrates,
                 initial=loop.chains.initial(), x0=x0, drive=drive, target=goal, tracked=tracked, sums_from=tuple(starts.values()),
             )  # fmt: skip
             for (name, start), mean, sd in zip(starts.items(), found.sum_mean, found.sum_sd):
@@ -147,10 +140,10 @@ def _first_rows_known(loop: Loop, rest: int) -> bool:
     The theory takes the longest delay of the law; where that is shorter, it is right where nothing moves as long. Lengths of stay
     are counted from slot 0 on, and the theory's stays have begun before it.
     """
-    ca, sc, stays = loop.chains.ca, loop.chains.sc, row_sojourns_distinguished(loop.controller)
+    ca, sc, stays = loop.chains.ca, loop.chains.sc, controller_traits(loop.controller).row_sojourns
     if ca is None or sc is None:
         return True
-    counted = max(stays, int(np.max(sojourns_distinguished(loop.controller), initial=1)))
+    counted = max(stays, int(np.max(controller_traits(loop.controller).sojourns, initial=1)))
     if counted > 1 and rest <= counted + sc.max_delay + ca.max_delay + 1:
         return False
     as_known = loop.selection in ("constant", "applied") or int(ca.label.max()) == loop.model.d_max

@@ -29,10 +29,8 @@ from design.controllers import (
     RowsLaw,
     Sample,
     SeveralSamples,
-    integrates,
-    packet_samples,
+    controller_traits,
     row_count,
-    row_sojourns_distinguished,
 )
 from design.controllers.scheduled_gain import ScheduledGain
 from hil.plugins.user_plugins import asked, needs
@@ -230,7 +228,7 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
             'without a state, linear_law(model) of an observer, or take kind = "output-feedback" with its A, B, C, D'
         )
     if isinstance(controller, SeveralSamples):
-        said.append(f"{name} takes SeveralSamples: {packet_samples(controller)} in one sensor packet")
+        said.append(f"{name} takes SeveralSamples: {controller_traits(controller).samples} in one sensor packet")
     return said
 
 
@@ -242,8 +240,9 @@ def check_table(controller: GainTable, model: LoopModel) -> None:
     """
     m, p = model.B.shape[1], model.C.shape[0]
     table = asked("table(model)", lambda: np.asarray(controller.table(model), dtype=float))
-    rows = row_count(controller.selection, model.d_max, row_sojourns_distinguished(controller))
-    width = p * packet_samples(controller) + p * integrates(controller)
+    its = controller_traits(controller)
+    rows = row_count(controller.selection, model.d_max, its.row_sojourns)
+    width = p * its.samples + p * its.integrates
     fits = table.ndim == 4 and len(table) > 0 and table.shape[1:] == (rows, m, width)
     assert fits, f"table(model) of shape {table.shape}, expected (tau, {rows}, {m}, {width}), tau up to {model.tau_max}"
     assert np.isfinite(table).all(), "table(model): a gain is not finite"
@@ -255,10 +254,9 @@ def check_statements(controller: Controller, model: LoopModel) -> None:
     Raises:
         AssertionError: naming the first rule that is broken.
     """
-    samples = asked("samples", packet_samples, controller)
-    whole = isinstance(samples, int | np.integer) and samples >= 1
-    assert whole, f"samples is {samples!r:.60}, expected a whole number of at least 1"
-    stays, rule = asked("row_sojourns", row_sojourns_distinguished, controller), controller.start(model).selection
+    its = asked("samples, row_sojourns, integral_limit or ages", controller_traits, controller)
+    assert its.samples >= 1, f"samples is {its.samples}, expected a whole number of at least 1"
+    stays, rule = its.row_sojourns, controller.start(model).selection
     assert stays == 1 or (stays > 1 and rule == "applied"), f"row_sojourns is {stays}, with the rule {rule!r} expected 1"
     for states, name, arguments, kind in (
         (LinearFeedback, "linear_law", (model,), LinearLaw), (ModeSchedule, "schedule_of_modes", (), ScheduledGain),
@@ -281,7 +279,8 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
         AssertionError: naming the first rule that is broken.
     """
     m, p = model.B.shape[1], model.C.shape[0]
-    seen = p * packet_samples(controller)
+    its = controller_traits(controller)
+    seen = p * its.samples
 
     def answers() -> list[Any]:
         rng = np.random.default_rng(3)
@@ -289,7 +288,7 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
         needs(running, "what start(model) returns", RUNNING)
         chosen = running.selection
         assert chosen in SELECTIONS, f"selection is {chosen!r:.60}, expected one of {', '.join(SELECTIONS)}"
-        several, stays = isinstance(running, MultiSampleController), row_sojourns_distinguished(controller)
+        several, stays = isinstance(running, MultiSampleController), its.row_sojourns
         out = []
         for k in range(60):
             y = tuple(map(float, rng.normal(size=(seen,))))

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from msgspec import Struct, structs
 
-from design.controllers import LoopModel, SensorNodes, row_sojourns_distinguished
+from design.controllers import LoopModel, SensorNodes, controller_traits
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
@@ -212,7 +212,7 @@ def _rig_of(e: Experiment) -> RigSpec:
         at_controller=Receiver(period_s, deadline_s, network.sc.max_age, holds_input=False),
         at_actuator=Receiver(period_s, deadline_s, network.ca.max_age, holds_input=True),
         fault_schedule=fault_schedule(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
-        links=links, framing=framing, row_sojourns=row_sojourns_distinguished(e.controller),
+        links=links, framing=framing, row_sojourns=controller_traits(e.controller).row_sojourns,
     )  # fmt: skip
     bus = can_bus_of(rig)
     faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)])

@@ -11,14 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import (
-    GainTable,
-    LoopModel,
-    ages_distinguished,
-    row_count,
-    row_sojourns_distinguished,
-    sojourns_distinguished,
-)
+from design.controllers import GainTable, LoopModel, controller_traits, row_count
 from design.errors import FieldError
 from hil.rig import RigSpec
 from hil.rig.receiver import Received, received
@@ -68,19 +61,14 @@ def begun(ways: Sequence[Received]) -> NDArray[np.float64] | None:
     return kron_of(known) if len(known) == len(ways) else None
 
 
-def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...], int]:
-    """Return which lengths of stay at tau, which ages, and how many lengths of stay at d a controller distinguishes."""
-    return sojourns_distinguished(controller), ages_distinguished(controller), row_sojourns_distinguished(controller)
-
-
 def chains_for(rig: RigSpec, controller: object) -> Chains:
     """Return the delay chains of a rig, with the labels that a controller distinguishes.
 
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    sojourns, ages, row_sojourns = labels_of(controller)
-    return chains_of(rig, sojourns if len(rig.sensors) == 1 else (), ages, row_sojourns)
+    its = controller_traits(controller)
+    return chains_of(rig, its.sojourns if len(rig.sensors) == 1 else (), its.ages, its.row_sojourns)
 
 
 def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[int] = (), row_sojourns: int = 1) -> Chains:

@@ -11,18 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import (
-    AgedFeedback,
-    Controller,
-    GainTable,
-    LinearFeedback,
-    LoopModel,
-    ages_distinguished,
-    packet_samples,
-    row_count,
-    row_sojourns_distinguished,
-    sojourns_distinguished,
-)
+from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, controller_traits, row_count
 from hil.rig import RigSpec
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
@@ -82,7 +71,8 @@ def loop_chains(
         if never := chains.sc.modes + chains.ca.modes - sc.modes - ca.modes:
             unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
         return LoopChains(*_in_phase(sc, ca, drawn), unmet, "")
-    if sojourns_distinguished(controller) or (ca is None and row_sojourns_distinguished(controller) > 1):
+    its = controller_traits(controller)
+    if its.sojourns or (ca is None and its.row_sojourns > 1):
         return LoopChains(sc, ca, "", chains.why_none)
     if ca is None:
         if not isinstance(rig.ca_law, RecordedLaw):
@@ -129,8 +119,8 @@ def _in_phase(sc: DelayChain, ca: DelayChain, drawn: tuple[bool, bool]) -> tuple
 
 def _over_bus(rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel) -> LoopChains:
     """The chains of all ages that a CAN bus with time leaves possible."""
-    by_stay = sojourns_distinguished(controller) or row_sojourns_distinguished(controller) > 1
-    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or by_stay:
+    its = controller_traits(controller)
+    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or its.sojourns or its.row_sojourns > 1:
         raise NotKnown("the theory of this controller knows no CAN bus with time")
     from hil.rig.bus_delays import bus_chains
 
@@ -152,7 +142,7 @@ def _beside_bands(rig: RigSpec, controller: Controller, distinguished: int | Seq
         return "[controller] is judged over nodes that send in every slot"
     if distinguished != 1:
         return "[controller] has gains that know how old a sample is"
-    return "[controller] takes several samples of a packet" if packet_samples(controller) > 1 else ""
+    return "[controller] takes several samples of a packet" if controller_traits(controller).samples > 1 else ""
 
 
 def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -178,7 +168,7 @@ def _distinguished(controller: Controller, model: LoopModel) -> int | Sequence[i
         return 1
     if not isinstance(controller, GainTable):
         return OLDEST_DISTINGUISHED
-    if len(own := ages_distinguished(controller)) > 1:
+    if len(own := controller_traits(controller).ages) > 1:
         return own
     K = np.array(controller.table(model), dtype=float)
     return 1 + int(np.flatnonzero((K[1:] != K[:-1]).any(axis=(1, 2, 3))).max(initial=-1) + 1)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import Controller, HistoryGains, ages_distinguished
+from design.controllers import Controller, HistoryGains, controller_traits
 from hil.experiment import Experiment
 from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains, begun
@@ -49,7 +49,7 @@ def waited_for(controller: Controller, rig: RigSpec) -> tuple[int, ...]:
     """
     if len(rig.sensors) == 1 or isinstance(controller, HistoryGains):
         return ()
-    by_nodes = len(ages_distinguished(controller)) > 1
+    by_nodes = len(controller_traits(controller).ages) > 1
     silent = rig.nodes.silent if by_nodes else [s.name for s in rig.sensors if s.trigger.kind != "every-slot"]
     return tuple(n for n, sensor in enumerate(rig.sensors) if sensor.name not in silent)
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from msgspec import Struct
 
-from design.controllers import packet_samples
+from design.controllers import controller_traits
 from hil.errors import nearest
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.tables import Experiment
@@ -77,8 +77,8 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
     if not e.network.nodes:  # the short form; readers of the list need not know it
         return (
             Sensor(
-                name="sensor", path="network.sc", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
-                trigger=TriggerTable(), clock=ClockTable(), law=e.network.sc.law, law_kind=kind,
+                name="sensor", path="network.sc", outputs=tuple(range(len(e.plant.outputs))), law=e.network.sc.law, law_kind=kind,
+                buffer=controller_traits(e.controller).samples, trigger=TriggerTable(), clock=ClockTable(),
                 stream="link.sc", numbered=False, can_id=first_identifiers([None], framing)[0],
             ),
         )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from design.controllers import Controller, packet_samples
+from design.controllers import Controller, controller_traits
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
@@ -235,7 +235,7 @@ def what_if(
     experiment = experiment_of(run, source) if experiment is None else experiment
     kinds = {**experiment.kinds, "controller": kind}
     other = compose(replace(experiment, controller=controller, kinds=kinds, allow_uncertified=True), certify=False)
-    if other.samples != (carried := packet_samples(experiment.controller)):
+    if other.samples != (carried := controller_traits(experiment.controller).samples):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
     applied = run.numbers(APPLIED.name)
     names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]
