@@ -34,7 +34,7 @@ INSTALL = "pip install 'hilrig[design]'"
 
 
 def solver(package: str) -> Any:
-    """Return a package of the extra ``design``: cvxpy, Clarabel, SCS or python-control.
+    """Return a package of the extra ``design``: cvxpy, Clarabel or SCS.
 
     Args:
         package: as it is imported.
@@ -52,7 +52,7 @@ def solver(package: str) -> Any:
 
 def check_solvers() -> None:
     """Raise NotInstalled where one of them is missing: before long work, and not in its midst."""
-    for package in ("cvxpy", "clarabel", "scs", "control"):
+    for package in ("cvxpy", "clarabel", "scs"):
         solver(package)
 
 

@@ -1,4 +1,4 @@
-"""Designs for a plant without a network: LQR, LQG and H-infinity, by python-control, which only these functions import.
+"""Designs for a plant without a network: LQR, LQG and H-infinity, by the Riccati equations of scipy.
 
 A networked design is compared with them.
 
@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import LinearLaw
-from design.errors import DesignError, check_above_zero, solver
+from design.errors import DesignError, check_above_zero
 
 LocalMethod = Literal["lqr", "lqg", "hinf"]
 Array = npt.NDArray[np.float64]
@@ -65,23 +65,20 @@ def local_design(
 
 
 def lqr_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
-    """Return F (m, n) of u = -F x that minimises the sum of |C x|^2 + rho^2 |u|^2, by `control.dlqr`.
+    """Return F (m, n) of u = -F x that minimises the sum of |C x|^2 + rho^2 |u|^2.
 
     Raises:
         DesignError: there is no stabilising one.
     """
-    control = solver("control")
-
-    try:
-        F = np.asarray(control.dlqr(A, B, C.T @ C, input_weight**2 * np.eye(B.shape[1]))[0], dtype=np.float64)
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise DesignError(f"lqr: the Riccati equation has no stabilising solution ({error})") from error
+    R = input_weight**2 * np.eye(B.shape[1])
+    X = _riccati("lqr", A, B, C.T @ C, R)
+    F = np.asarray(np.linalg.solve(B.T @ X @ B + R, B.T @ X @ A), dtype=np.float64)
     _stable(A - B @ F, "lqr")
     return F
 
 
 def game_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
-    """Return F (m, n) of u = -F x with |z| < gamma |w| for every w, gamma 5 % above the smallest, by `control.dare`.
+    """Return F (m, n) of u = -F x with |z| < gamma |w| for every w, gamma 5 % above the smallest.
 
     Raises:
         DesignError: no gamma was found.
@@ -103,13 +100,13 @@ def game_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
 
 def _at_gamma(A: Array, B: Array, C: Array, input_weight: float, gamma: float) -> Array | None:
     """F of the saddle point (u, w) of sum |z|^2 - gamma^2 |w|^2, None where there is none."""
-    control = solver("control")
+    from scipy.linalg import solve_discrete_are
 
     m = B.shape[1]
     both = np.hstack([B, B])
     weight = np.diag(np.concatenate([np.full(m, input_weight**2), np.full(m, -(gamma**2))]))
     try:
-        X = np.asarray(control.dare(A, both, C.T @ C, weight)[0], dtype=np.float64)
+        X = np.asarray(solve_discrete_are(A, both, C.T @ C, weight), dtype=np.float64)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not np.isfinite(X).all() or np.linalg.eigvalsh(0.5 * (X + X.T)).min() < -1e-9 * np.abs(X).max():
@@ -123,21 +120,26 @@ def _at_gamma(A: Array, B: Array, C: Array, input_weight: float, gamma: float) -
 
 
 def _filter(A: Array, B: Array, C: Array, noise: float) -> Array:
-    """The gain (n, p) by which a sample corrects the state: P C' (C P C' + V)^-1, P by `control.dlqe`."""
-    control = solver("control")
-
+    """The gain (n, p) by which a sample corrects the state: P C' (C P C' + V)^-1, P of a prediction."""
     V = noise**2 * np.eye(C.shape[0])
-    try:
-        P = np.asarray(control.dlqe(A, B, C, np.eye(B.shape[1]), V)[1], dtype=np.float64)
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise DesignError(f"filter: the Riccati equation has no stabilising solution ({error})") from error
+    P = _riccati("filter", A.T, C.T, B @ B.T, V)
     L = np.asarray(np.linalg.solve(C @ P @ C.T + V, C @ P).T, dtype=np.float64)
     _stable(A @ (np.eye(len(A)) - L @ C), "filter")
     return L
 
 
+def _riccati(what: str, A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """X = A'XA - A'XB (R + B'XB)^-1 B'XA + Q."""
+    from scipy.linalg import solve_discrete_are
+
+    try:
+        return np.asarray(solve_discrete_are(A, B, Q, R), dtype=np.float64)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DesignError(f"{what}: the Riccati equation has no stabilising solution ({error})") from error
+
+
 def _stable(closed: Array, what: str) -> None:
-    """Refuse a solution that leaves a mode as it is: python-control returns one where a mode is not reached, or not seen."""
+    """Refuse a solution that leaves a mode as it is: scipy returns one where a mode is not reached, or not seen."""
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     if radius >= 1.0:
         raise DesignError(f"{what}: the spectral radius is {radius:.6g}, expected below 1", value=radius)

@@ -269,7 +269,7 @@ def _covering(task: DesignTask, found: SendAll) -> SendAll:
 class LocalDesigned:
     """LQR, LQG or H-infinity for the plant alone; it ignores the network that it runs over, and is judged over it.
 
-    It is what a networked design is compared with; python-control solves it.
+    It is what a networked design is compared with.
 
     Args:
         method: ``lqr``, ``lqg`` or ``hinf``, see `design.requests.local_design`.

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 import plants
-from design.errors import DesignError
-from design.requests.local_design import local_design
+from design.errors import DesignError, check_solvers
 from plants import PlantError, StateSpace
 from tests.warm_hil import hil_command
 from transport import TransportError, open_link
@@ -73,8 +72,8 @@ def test_a_command_that_needs_an_extra_names_it(command: tuple[str, ...], extra:
 def test_a_function_that_needs_an_extra_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("control", "cvxpy", "zenoh"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(DesignError, match=r"needs control, which is not installed: pip install 'hilrig\[design\]'"):
-        local_design([[0.5]], [[1.0]], [[1.0]], "lqr")
+    with pytest.raises(DesignError, match=r"needs cvxpy, which is not installed: pip install 'hilrig\[design\]'"):
+        check_solvers()
     with pytest.raises(PlantError, match=r"pip install 'hilrig\[design\]'"):
         plants.to_control(StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]]))
     with pytest.raises(TransportError, match=r"pip install 'hilrig\[zenoh\]'"):

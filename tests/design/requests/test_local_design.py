@@ -87,7 +87,7 @@ def test_delays_that_the_design_does_not_know_can_undo_it() -> None:
 
 @pytest.mark.parametrize("solve", [lqr_feedback, _filter])
 def test_an_integrator_that_no_input_reaches_and_no_output_shows_is_refused(solve: Callable[..., object]) -> None:
-    """python-control returns gains for it, with the spectral radius 1."""
+    """scipy returns gains for it, with the spectral radius 1."""
     with pytest.raises(DesignError, match=r"spectral radius|stabilising"):
         solve(np.eye(2), np.array([[0.0], [1.0]]), np.array([[0.0, 1.0]]), 0.01)
 
