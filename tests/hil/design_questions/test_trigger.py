@@ -34,7 +34,8 @@ from hil.sweeps import trigger_cost
 from hil.sweeps.shown import interval_of
 from hil.sweeps.trigger_cost import TriggerPoint, check_chains, experiment_with, front, run_candidate, undecided
 
-LARGE = 0.4
+LARGE = 0.35
+"""For which the search takes few steps; at 0.4 it takes six times as many."""
 
 
 STAGES: list[tuple[str, int, int, float]] = []
@@ -48,7 +49,8 @@ def large() -> list[Candidate]:
 
 
 def test_every_point_of_the_search_says_for_which_threshold_it_is_and_what_it_has_reached(large: list[Candidate]) -> None:
-    found = [(value, done, count) for stage, done, count, value in STAGES if stage == "gains for 40% wrong, guaranteed h2"]
+    said = f"gains for {LARGE:.0%} wrong, guaranteed h2"
+    found = [(value, done, count) for stage, done, count, value in STAGES if stage == said]
     values = [value for value, _, _ in found]
     assert len(found) > 3 and {each[1:] for each in found} == {(0, 1)}
     assert min(values) < values[0] and min(values) == pytest.approx(large[-1].bound, rel=1e-2)
@@ -139,7 +141,7 @@ def test_the_command_prints_the_points_and_writes_a_page(
     heads = ("Squared error against packets", "gain, V per rad", "squared error (rad² s)", "not certified")
     assert all(said in written for said in heads)
     shown = CliRunner().invoke(command, [name, "--trigger", "--starts", "1"], catch_exceptions=False).stdout
-    assert "undecided" in shown and "40% wrong" in shown and "every slot" in shown
+    assert "undecided" in shown and f"{LARGE:.0%} wrong" in shown and "every slot" in shown
 
 
 def test_a_dead_band_is_tried_in_multiples_of_its_own_and_ends_within_as_many(tmp_path: Path) -> None:
@@ -243,7 +245,7 @@ def test_a_budget_ends_the_search_with_what_was_found(large: list[Candidate], mo
     """Equations are counted beside the budget, by wrapping the solver; the gains are between the nominal and the best ones."""
     asked = trigger_question("dc-motor-ours-h2")._replace(thresholds=(LARGE,))
     nominal = nominal_design(asked.target, starts=1)
-    equations = 60 + 60 + 60 + 60  # both norms, where the descent begins, and a part of the descent
+    equations = 60 + 60 + 60 + 20  # both norms, where the descent begins, and a part of the descent
     solved = []
     real = uncertainty.solve_bounded_real
     monkeypatch.setattr(uncertainty, "solve_bounded_real", lambda *said, **more: solved.append(1) or real(*said, **more))
