@@ -81,6 +81,7 @@ SMALLER: dict[str, Any] = {
     "chapter7_friction.BATCH_RUNS": 60, "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 3,
     "chapter7_friction.CHECK_SEEDS": 3, "chapter7_runs.Workers": lambda **_: Workers(),
     "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
+    "chapter7_delays.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
     "chapter7_designs.GAINS": {("motor", "h2"): H2}, "chapter7_designs.BOUNDS": (0.5,),
     "chapter6_wall.STAYS": ((1, 2), (2, 3), (1, 2)), "chapter6_wall.distortion_norm": partial(distortion_norm, mixed=False),
