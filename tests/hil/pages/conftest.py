@@ -8,7 +8,15 @@ import pytest
 
 from hil.pages.live import desk
 from hil.pages.live.desk import Composer
+from hil.pages.sections import theory
 from tests.hil.pages import chromium
+
+
+@pytest.fixture
+def short_theory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Theory of the first slots, without more runs: it is looked at in its own tests and in the whole pages."""
+    monkeypatch.setattr(theory, "MOST_SLOTS", 40)
+    monkeypatch.setattr(theory, "RUNS", 0)
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,6 @@ from hil.measure.view import view_of
 from hil.pages import Badge, Table
 from hil.pages.many_runs import compare_page
 from hil.pages.run_page import render_report
-from hil.pages.sections import theory
 from hil.pages.sections.summary import events
 from hil.pages.sections.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities
@@ -27,11 +26,7 @@ from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.pages import chromium
 from tests.hil.pages.runs import run_of
 
-
-@pytest.fixture(autouse=True)
-def few_more_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The band of theory and emulation is looked at in its own tests and in the whole pages."""
-    monkeypatch.setattr(theory, "RUNS", theory.FEWEST)
+pytestmark = pytest.mark.usefixtures("short_theory")
 
 
 def report(run: Run) -> str:

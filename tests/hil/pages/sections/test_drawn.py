@@ -53,6 +53,9 @@ MINE = """
 """
 
 
+pytestmark = pytest.mark.usefixtures("short_theory")
+
+
 class Drawing(DCMotor):
     """A motor that draws what a test gives it."""
 
