@@ -53,18 +53,18 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
     from hil.experiment import load_experiment
     from hil.rig.session_link import link_of
     from hil.runtime.real.controller_process import serve
-    from transport.links.opening import find_link
     from transport.links.zenoh_refusals import standard_output_is_free
 
     named = load_experiment(experiment, sets)
     with Working(f"{named.name}: its loop"):
         loop = compose(named)
     uri = link_of(loop.rig, link).uri
-    find_link(uri)  # what cannot be a link is said first
-    print(f"hil: controller of {loop.experiment.name} on {visible(uri)}; Ctrl-C ends it", file=sys.stderr)
     standard_output_is_free()  # words go to standard error
-    raised = serve(loop, uri, warn=lambda said: print(f"hil: {visible(said)}", file=sys.stderr))
-    print(f"hil: {visible(raised)}", file=sys.stderr)
+
+    def say(text: str) -> None:
+        print(f"hil: {visible(text)}", file=sys.stderr)
+
+    say(serve(loop, uri, opened=lambda: say(f"controller of {loop.experiment.name} on {uri}; Ctrl-C ends it"), warn=say))
     raise SystemExit(1)
 
 

@@ -54,8 +54,7 @@ def open_can(uri: str, role: Role) -> CanLink:
     """
     _, address, options = split_uri(uri)
     interface, _, channel = address.partition(":")
-    if interface != "hil":
-        _check_name(uri, interface)
+    check_options(uri)
     fd = options.pop("fd", "1")
     if fd not in ("0", "1"):
         raise TransportError(f"link {uri!r}: fd={fd}, expected 1 (CAN FD) or 0 (classic CAN)")
@@ -64,7 +63,6 @@ def open_can(uri: str, role: Role) -> CanLink:
         raise TransportError(f"link {uri!r}: pad={pad}, expected 1 (FD frames of 64 bytes) or 0; classic frames have no padding")
     flexible = fd == "1"
     identifiers = identifiers_of(uri, options, flexible)
-    _check_options(uri, interface, options)
     accepted = identifiers.of("controller" if role == "rig" else "rig")
     arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
     if interface == "udp_multicast":
@@ -119,8 +117,16 @@ def _names_of(interface: str) -> tuple[list[str], bool]:
     return options_of(interface)
 
 
-def _check_options(uri: str, interface: str, options: dict[str, str]) -> None:
-    """Refuse what we set ourselves, and what the bus does not name, where it would swallow or choke on it."""
+def check_options(uri: str) -> None:
+    """Refuse an interface and options of a CAN link's URI that are none, where the bus would swallow or choke on them.
+
+    Raises:
+        TransportError: with what is closest.
+    """
+    _, address, said = split_uri(uri)
+    interface, options = address.partition(":")[0], [name for name in said if name not in (*OPTIONS, "auth")]
+    if interface != "hil":
+        _check_name(uri, interface)
     if not options:
         return
     names, takes_any = _names_of(interface)

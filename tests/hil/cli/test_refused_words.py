@@ -47,6 +47,7 @@ FD = "name,can_id,length,period,fd\na,1,12,10 ms,true\n"
         (("dbc", "--set", "period=1"), "--link and --set: name an experiment"),
         (("dbc", "--c", "there", "--decode", "a.log"), "--c and --decode: one at a time"),
         (("dbc", "dc-motor-h2", "--link", "can:nosuch"), "dc-motor-h2: link 'can:nosuch'"),
+        (("dbc", "dc-motor-h2", "--link", "can:hil:x?bse=0x200"), "no option is called 'bse', did you mean 'base'?"),
         (("probe", "can:hil:a", "--seconds", "1000", "--rate", "10000"), "--seconds: 10000000 frames, at most"),
         (("probe", "can:hil:a", "--answer", "--both"), "--answer: the other end measures nothing"),
         (("probe", "can:hil:a", "--answer", "-o", "x.mcap"), "--answer: the other end measures nothing"),
