@@ -110,7 +110,8 @@ class NumberList(click.ParamType[tuple[float, ...]]):
                 most = f" and of at most {LARGEST:g}" if number > LARGEST else ""
                 self.fail(f"{number:g}, expected a number {'above' if self.above else 'of at least'} 0{most}", param, ctx)
         if not 1 <= len(found) <= MOST:
-            self.fail(f"{value}: {len(found)} numbers, expected 1 to {MOST}; a range goes up, such as 0..8", param, ctx)
+            count = f"more than {MOST}" if found else "no"
+            self.fail(f"{value:.60}: {count} numbers, expected 1 to {MOST}; a range goes up, such as 0..8", param, ctx)
         return tuple(found)
 
 

@@ -183,7 +183,7 @@ def test_a_wall_that_cannot_be_is_refused_and_nothing_is_written(
         (("--hand", "-1"), "-1, expected a number of at least 0"),
         (("--period", "0"), "0, expected a number above 0"),
         (("--delay", "41"), "--delay: 41"),
-        (("--delay", "0..300"), "201 numbers, expected 1 to 200"),
+        (("--delay", "0..300"), "0..300: more than 200 numbers, expected 1 to 200"),
         (("--lever", "-0.1"), "--lever: -0.1"),
         (("--lever", "1e308"), "--lever: 1e+308"),
         (("--hand", "1e308"), "1e+308, expected a number of at least 0 and of at most 1e+30"),
