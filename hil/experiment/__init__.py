@@ -76,7 +76,7 @@ def load_experiment(
         raise HilError(f"{name}: is a log, expected an experiment; `hil report` makes a page of a log, or of a folder of logs")
     data = read_regular(path, MAX_BYTES, "an experiment file")
     try:
-        text = data.decode()
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise HilError(f"{name}: not a text file: byte 0x{data[e.start]:02x} at offset {e.start} is not UTF-8") from e
     return parse_experiment(text, sets=changes, source=name, folder=str(path.parent), objects=objects)

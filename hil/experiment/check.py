@@ -45,7 +45,7 @@ def read_law_file(name: Any, folder: str) -> dict[str, Any]:
         raise FieldError("file", f"expected the name of a law's file, got {name!r:.60}")
     path = Path(folder) / name
     try:
-        table = parse_toml(read_regular(path, MAX_BYTES, "a file of a network law").decode())
+        table = parse_toml(read_regular(path, MAX_BYTES, "a file of a network law").decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise FieldError("file", f"{path}: is no text") from None
     except ValueError as error:

@@ -103,7 +103,7 @@ def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions
 
 def _of_csv(data: bytes) -> NDArray[Any]:
     rows = []
-    for number, line in enumerate(data.decode().splitlines(), 1):
+    for number, line in enumerate(data.decode("utf-8-sig").splitlines(), 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:

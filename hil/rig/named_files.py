@@ -115,7 +115,7 @@ def read_traffic(path: Path) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]
     if path.suffix not in (".csv", ".dbc"):
         raise HilError(f"{path}: the ending {path.suffix!r} names no table of traffic, expected .csv or .dbc")
     with located(path, OSError, ValueError), open_regular(path, "a table of traffic") as file:
-        text = file.read(LARGEST + 1).decode("utf-8" if path.suffix == ".csv" else "cp1252")
+        text = file.read(LARGEST + 1).decode("utf-8-sig" if path.suffix == ".csv" else "cp1252")
     if len(text) > LARGEST:
         raise HilError(f"{path}: more than {LARGEST} characters")
     found, others = (_of_csv(path, text), ()) if path.suffix == ".csv" else _of_dbc(path, text)

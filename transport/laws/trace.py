@@ -176,7 +176,7 @@ def _regular(path: Path) -> TextIO:
             raise FieldError("file", f"{path} is no regular file")
         if status.st_size > MAX_BYTES:
             raise FieldError("file", f"{path} has more than {MAX_BYTES} bytes")
-        return open(descriptor, newline="", encoding="utf-8")
+        return open(descriptor, newline="", encoding="utf-8-sig")
     except BaseException:
         os.close(descriptor)
         raise

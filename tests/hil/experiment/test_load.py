@@ -30,6 +30,7 @@ from tests.warm_hil import hil_command
 from transport.laws.age import ConstantAge
 from transport.laws.latency import latency
 from transport.laws.packet import PacketLaw
+from transport.laws.trace import TraceAge
 
 GOOD = shipped()["dc-motor-hinf"].read_text().replace("[limits]", '[links]\nuri = "can:hil:rig0"\n\n[limits]')
 MARKOV = 'sc.law = { kind = "markov", matrix = [[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'
@@ -272,6 +273,15 @@ def test_a_key_of_a_law_from_a_file_can_be_changed(tmp_path: Path) -> None:
     assert changed == PacketLaw(latency="3 ms", loss=0.25)
     with pytest.raises(ExperimentError, match=r"network\.sc\.law\.los: unknown field"):
         load_experiment(tmp_path / "x.toml", ["network.sc.law.los=0.25"])
+
+
+def test_files_may_begin_with_the_mark_of_utf_8(tmp_path: Path) -> None:
+    """Editors and spreadsheets of Windows write it: such a file was "not valid TOML", such a head an entry."""
+    (tmp_path / "x.toml").write_text("\ufeff" + law('{ file = "law.toml" }'))
+    (tmp_path / "law.toml").write_text("\ufeffkind = 'trace'\nfile = 'ages.csv'\npast_end = 'repeat'\n")
+    (tmp_path / "ages.csv").write_text("\ufeffage\n0\n1\n")
+    law_that_runs = with_law_files(load_experiment(tmp_path / "x.toml")).network.sc.law
+    assert isinstance(law_that_runs, TraceAge) and law_that_runs.ages == (0, 1)
 
 
 def test_set_changes_fields_tables_and_list_entries() -> None:

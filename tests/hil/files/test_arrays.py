@@ -96,7 +96,7 @@ def test_a_vector_is_a_row_or_a_column_and_what_is_too_much_is_refused(folder: P
         numbers_from_file({"file": "K.csv", "key": "K"}, "K", str(folder), 2)
     with pytest.raises(HilError, match=r"cart\.mat: has no key 'C\\x00'"):
         numbers_from_file({"file": "cart.mat", "key": "C\0"}, "K", str(folder), 2)
-    (folder / "four.csv").write_text("1,2\n3,4\n")
+    (folder / "four.csv").write_text("\ufeff1,2\n3,4\n")  # as spreadsheets begin a file of UTF-8
     monkeypatch.setattr(array_files, "MOST_NUMBERS", 4)
     assert numbers_from_file({"file": "four.csv"}, "K", str(folder), 2) == [[1.0, 2.0], [3.0, 4.0]]
     monkeypatch.setattr(array_files, "MOST_NUMBERS", 3)

@@ -55,6 +55,8 @@ def test_a_table_of_traffic_is_known_by_its_ending_and_bounded(tmp_path: Path, m
     path = tmp_path / "a.csv"
     path.write_text("can_id,period\n0x12,1\n")
     assert [each.can_id for each in read_traffic(path)[0]] == [0x12]
+    (tmp_path / "spreadsheet.csv").write_text("\ufeffcan_id,period\n0x12,1\n")
+    assert read_traffic(tmp_path / "spreadsheet.csv") == read_traffic(path)
     monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()))
     assert read_traffic(path)[0]
     monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()) - 1)
