@@ -111,8 +111,8 @@ def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
     return joint if before[0] < 0 else np.where(before[None, :] == c[:, None], joint, 0.0)
 
 
-def default_initial(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, int]]) -> Array:
-    """Return the distribution over the joint modes (S-C mode, C-A mode, C-A mode before or -1), (N,).
+def default_initial(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Array, Literal["uniform", "stationary"]]:
+    """Return the distribution over the joint modes (S-C mode, C-A mode, C-A mode before or -1), (N,), and its name.
 
     A plain delay chain has one mode per delay, and the thesis takes them as equally likely. Where several modes have one
     delay (a semi-Markov law counts its slots) their number depends on where a tail is cut, and with it every norm that
@@ -122,24 +122,12 @@ def default_initial(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, 
         sc, ca: the delay chains.
         modes: the joint modes.
     """
-    if initial_law(sc, ca) == "uniform":
-        return np.full(len(modes), 1.0 / len(modes))
+    if sc.is_plain and ca.is_plain:
+        return np.full(len(modes), 1.0 / len(modes)), "uniform"
     s, c, before = np.array(modes, dtype=np.int64).T
     of_ca = ca.stationary[c] if before[0] < 0 else ca.stationary[before] * ca.matrix[before, c]
     weights = sc.stationary[s] * of_ca
-    return np.asarray(weights / weights.sum(), dtype=np.float64)
-
-
-def initial_law(sc: DelayChain, ca: DelayChain) -> Literal["uniform", "stationary"]:
-    """Return the name of the default distribution.
-
-    It is stationary where several modes have one delay, as those of a semi-Markov law, and uniform elsewhere: see
-    `default_initial`.
-
-    >>> initial_law(DelayChain(transition=[[1.0]]), DelayChain(transition=[[1.0]]))
-    'uniform'
-    """
-    return "uniform" if sc.is_plain and ca.is_plain else "stationary"
+    return np.asarray(weights / weights.sum(), dtype=np.float64), "stationary"
 
 
 Array = npt.NDArray[np.float64]

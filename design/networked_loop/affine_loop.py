@@ -19,15 +19,7 @@ from msgspec import Struct
 from design.controllers import row_count
 from design.errors import FieldError
 from design.jump_linear import MJLS
-from design.networked_loop import (
-    check_gains,
-    default_initial,
-    initial_law,
-    joint_bounds,
-    joint_modes,
-    joint_stays,
-    packet_registers,
-)
+from design.networked_loop import check_gains, default_initial, joint_bounds, joint_modes, joint_stays, packet_registers
 from design.processes.delay_chain import Array, DelayChain, Index
 
 MOST_PRODUCTS = 4_000_000
@@ -238,11 +230,10 @@ def wired(
             base[i, :, first : first + m] += into_plant
     drive = np.zeros((order, m))
     drive[:n] = B
-    index = np.array(modes, dtype=np.int64)
+    index, (initial, law) = np.array(modes, dtype=np.int64), default_initial(sc, ca, modes)
     return LoopStructure(
         base=base, B=np.repeat(drive[None], N, axis=0), C=np.zeros((N, 0, order)), transition=transition,
-        between=joint_bounds(sc, ca, modes), stays=joint_stays(sc, ca, modes),
-        default_initial=default_initial(sc, ca, modes), initial_law=initial_law(sc, ca),
+        between=joint_bounds(sc, ca, modes), stays=joint_stays(sc, ca, modes), default_initial=initial, initial_law=law,
         entries=_pack(entries, order, m, samples * p + c), input_entries=_pack(inputs, order, m, samples * p + c),
         input_base=input_base, gain_shape=(len(own[0]), rows, m, samples * p + c), sc_mode=index[:, 0], ca_mode=index[:, 1],
         ca_before=index[:, 2], plant_order=n, stored_outputs=depth + (samples if keeps_samples else 0), integral=False,
