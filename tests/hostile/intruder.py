@@ -18,7 +18,7 @@ import zenoh
 
 from transport import ControlPacket, SensorPacket, TransportError, decode, encode_control, open_link
 from transport.links.can_bus import HilBus
-from transport.links.can_datagram import FD_FRAME, FRAME
+from transport.links.can_datagram import FDF, FRAME
 from transport.links.zenoh_link import config
 from transport.wire import echo
 
@@ -47,7 +47,7 @@ def on_can(channel: str, way: str) -> None:
             if isinstance(packet, SensorPacket):
                 for data in answers(packet, frame[2], way):
                     with suppress(can.CanError, OSError):
-                        bus.frames.mesh.send(FRAME.pack(0.0, 0, 0x140, len(data), FD_FRAME) + data)
+                        bus.frames.mesh.send(FRAME.pack(0.0, 0, 0x140, len(data), FDF) + data)
 
 
 def on_zenoh(uri: str, way: str) -> None:

@@ -20,7 +20,7 @@ from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bits import frame_length
 from transport.links import TransportError, can_bus
 from transport.links.can_bus import HilBus
-from transport.links.can_datagram import FD_FRAME, FRAME
+from transport.links.can_datagram import FDF, FRAME
 from transport.links.opening import open_link
 
 CLOCKS = 1e-3  # s between readings of the two clocks of a stamp, nearly always
@@ -110,7 +110,7 @@ def test_a_time_that_is_none_takes_nothing_away_from_who_receives_it(stamp: floa
     """Any program of this user may send it: the kernel's time takes its place."""
     begin = time()
     with bus() as stranger, bus() as listener, open_link("can:hil:t?timed=1&bitrate=50k", "rig") as rig:
-        stranger.frames.mesh.send(FRAME.pack(stamp, 0, 0x140, 8, FD_FRAME) + b"garbage!")
+        stranger.frames.mesh.send(FRAME.pack(stamp, 0, 0x140, 8, FDF) + b"garbage!")
         (came,) = received(listener, 1)
         assert begin - 1.0 < came.timestamp < time() + 1.0 and bytes(came.data) == b"garbage!"
         until(lambda: rig.receive(0.1) is None and rig.counters.malformed == 1, "the frame at the rig")

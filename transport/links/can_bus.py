@@ -24,18 +24,7 @@ from errno import ENODEV
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from transport.links import TransportError
-from transport.links.can_datagram import (
-    BITRATE_SWITCH,
-    CONTROLLER,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD_FRAME,
-    FRAME,
-    ID_MASK,
-    OWN,
-    REMOTE,
-)
+from transport.links.can_datagram import BRS, CONTROLLER, ERROR, ESI, EXTENDED, FDF, FRAME, ID_MASK, OWN, REMOTE
 from transport.links.can_open import join_channel
 from transport.links.hil_frames import HilFrames
 from transport.links.private_directory import bus_directory as bus_directory
@@ -64,10 +53,10 @@ def message_of(datagram: bytes, channel: str) -> can.Message:
         channel=channel,
         dlc=length,
         data=bytearray(datagram[FRAME.size :]),
-        is_fd=bool(flags & FD_FRAME),
+        is_fd=bool(flags & FDF),
         is_rx=not flags & OWN,
-        bitrate_switch=bool(flags & BITRATE_SWITCH),
-        error_state_indicator=bool(flags & ERROR_STATE),
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
     )
 
 
@@ -175,7 +164,7 @@ class HilBus(can.BusABC):
             identifier |= ERROR
         flags = 0
         if msg.is_fd:
-            flags = FD_FRAME | msg.bitrate_switch | msg.error_state_indicator << 1
+            flags = FDF | msg.bitrate_switch | msg.error_state_indicator << 1
         try:
             taken = self.frames.put(identifier, length, flags, data, timeout or 0.0)
         except TransportError as error:

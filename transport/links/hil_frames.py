@@ -13,18 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.node import State
 from transport.links import LOOK_S, TransportError
-from transport.links.can_datagram import (
-    BITRATE_SWITCH,
-    BUS_ERROR,
-    ERROR,
-    FD_FRAME,
-    FRAME,
-    LOOK,
-    OWN,
-    changed,
-    destroyed,
-    frame_of,
-)
+from transport.links.can_datagram import BRS, BUS_ERROR, ERROR, FDF, FRAME, LOOK, OWN, changed, destroyed, frame_of
 from transport.links.unix_mesh import Mesh
 
 if TYPE_CHECKING:
@@ -180,7 +169,7 @@ class HilFrames:
             if len(frame) < _FRAME_BYTES:
                 self.filtered += 1
             elif self.timed is None or not self._not_for_us(self.timed, frame):
-                if (self._fd or not frame[_FLAGS] & FD_FRAME) and (self.matches is None or self._wanted(_identifier(frame))):
+                if (self._fd or not frame[_FLAGS] & FDF) and (self.matches is None or self._wanted(_identifier(frame))):
                     return frame
                 self.filtered += 1
             if end is not None and monotonic() >= end:
@@ -199,13 +188,13 @@ class HilFrames:
             Whether a participant took it, or there is none; False if none of them had room.
         """
         if self._closed or self._own or self.timed is not None:
-            return self.put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
+            return self.put(identifier, len(data), FDF | BRS if self._fd else 0, data, 0.0)
         head = self._heads.get(identifier << 7 | len(data))
         return self.mesh.send((self._head(identifier, len(data)) if head is None else head) + data)
 
     def _head(self, identifier: int, length: int) -> bytes:
         """Return the head of each frame of an identifier and a length, without a time, which costs a tenth of a round trip."""
-        head = _PACK(0.0, 0, identifier, length, FD_FRAME | BITRATE_SWITCH if self._fd else 0)
+        head = _PACK(0.0, 0, identifier, length, FDF | BRS if self._fd else 0)
         self._heads[identifier << 7 | length] = head
         return head
 
@@ -216,7 +205,7 @@ class HilFrames:
             timeout: s; None may come earlier, when a participant joined or left.
         """
         frame = self.take(timeout)
-        return None if frame is None else (_identifier(frame), bool(frame[_FLAGS] & FD_FRAME), frame[_FRAME_BYTES:])
+        return None if frame is None else (_identifier(frame), bool(frame[_FLAGS] & FDF), frame[_FRAME_BYTES:])
 
     def _not_for_us(self, timed: TimedSender, frame: bytes) -> bool:
         """Return whether this is no frame for a participant of a bus that takes time; look at its error state where asked to."""
