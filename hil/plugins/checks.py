@@ -34,20 +34,9 @@ from design.controllers import (
 )
 from design.controllers.scheduled_gain import ScheduledGain
 from hil.plugins.user_plugins import asked, needs
+from transport import laws
 from transport.draws import Draw
 from transport.law_tests import law_p_value
-from transport.laws import (
-    AgeLaw,
-    BoundedAge,
-    BoundedTail,
-    ChainLaw,
-    ChannelLaw,
-    NetworkLaw,
-    RecordedLaw,
-    SemiMarkovLaw,
-    prepare,
-    slots_served,
-)
 from transport.laws.delay_states import delay_states
 from transport.medium.independent import impair
 from transport.packets import SELECTIONS
@@ -64,7 +53,7 @@ PACKET: Final = {"reordering": "whether a packet may overtake an earlier one", "
 PERIOD_S, DEADLINE_S, SLOTS = 0.01, 0.006, 400
 
 
-def check_law(law: NetworkLaw) -> list[str]:
+def check_law(law: laws.NetworkLaw) -> list[str]:
     """Check a network law: reproducible, nothing from the future, ages within their bound, and drawn as it states.
 
     Returns:
@@ -79,9 +68,9 @@ def check_law(law: NetworkLaw) -> list[str]:
     needs(law, f'{name}, a network law of family "{law.family}",', AGE if law.family == "age" else PACKET)
     if dataclasses.is_dataclass(law) or isinstance(law, msgspec.Struct):
         asked(f"the fields of {name} must be plain data", msgspec.json.encode, law)
-    law = prepare(law)
+    law = laws.prepare(law)
     check_draws(law)
-    bound = law.max_age if isinstance(law, BoundedAge) else None
+    bound = law.max_age if isinstance(law, laws.BoundedAge) else None
 
     def arrivals() -> list[list[int]]:
         impairment = impair(law, np.random.default_rng(5), PERIOD_S, DEADLINE_S)
@@ -100,19 +89,19 @@ def check_law(law: NetworkLaw) -> list[str]:
     assert arrivals() == arrivals(), f"{name}.start(rng): two starts with one seed must draw the same; draw from rng alone"
     if law.family == "packet":
         said = [f"{name} is a PerPacketLaw: it can run in a loop"]
-        if isinstance(law, ChannelLaw):
+        if isinstance(law, laws.ChannelLaw):
             said.append(f"{name} is a ChannelLaw: its losses are analysed exactly, and every record is tested against it")
         return [*said, f"{name} is neither a ChainLaw nor a SemiMarkovLaw: loops over it run with allow_uncertified only"]
     said = [f"{name} is an AgeLaw: it can run in a loop"]
-    modes = _check_drawn(cast(AgeLaw, law))
-    if isinstance(law, RecordedLaw):
+    modes = _check_drawn(cast(laws.AgeLaw, law))
+    if isinstance(law, laws.RecordedLaw):
         said.append(f"{name} is a RecordedLaw: its ages are analysed exactly, and every record is tested against it")
-    elif isinstance(law, SemiMarkovLaw):
+    elif isinstance(law, laws.SemiMarkovLaw):
         said.append(f"{name} is a SemiMarkovLaw: loops over it, and stays in it, can be certified, designed for and predicted")
-        silent = [i for i, sojourn in enumerate(law.sojourn) if not isinstance(sojourn, BoundedTail)]
+        silent = [i for i, sojourn in enumerate(law.sojourn) if not isinstance(sojourn, laws.BoundedTail)]
         if silent:
             said.append(f"{name}: the sojourn laws of modes {silent} are no BoundedTail: nothing is assumed beyond the cut")
-    elif isinstance(law, ChainLaw):
+    elif isinstance(law, laws.ChainLaw):
         _check_chain(law)
         said.append(f"{name} is a ChainLaw: loops over it can be certified, designed for and predicted")
     else:
@@ -125,7 +114,7 @@ def check_law(law: NetworkLaw) -> list[str]:
         p_value = asked("transition_matrix() and mode_ages", law_p_value, law, modes)
         assert not p_value < DIFFERS, f"the drawn modes do not follow the stated chain: p = {p_value:.2g}"
         again = float((states.matrix**2).sum(axis=1).max()) ** (len(modes) - 1)  # at most: that two runs draw the same
-        random = again > DIFFERS or not np.array_equal(modes, _check_drawn(cast(AgeLaw, law), seed=6))
+        random = again > DIFFERS or not np.array_equal(modes, _check_drawn(cast(laws.AgeLaw, law), seed=6))
         assert random, f"{name}.start(rng): two starts with two seeds draw the same modes; draw from rng alone"
         if states.has_gaps:
             said.append(f"{name}: the age may grow by more than one per slot; what runs is min(age, last + 1), certified so")
@@ -156,7 +145,7 @@ def check_draws(law: Any) -> None:
     assert pair, f"draw() returned {drawn!r:.80}, expected (mode, age), two whole numbers"
 
 
-def _check_chain(law: ChainLaw) -> None:
+def _check_chain(law: laws.ChainLaw) -> None:
     matrix, n = asked("transition_matrix()", lambda: np.asarray(law.transition_matrix(), dtype=float)), len(law.mode_ages)
     assert matrix.shape == (n, n), f"transition_matrix() of shape {matrix.shape}, expected {(n, n)}: mode_ages has {n} modes"
     for i, row in enumerate(matrix):
@@ -168,13 +157,13 @@ def _whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def _check_drawn(law: AgeLaw, seed: int = 5) -> NDArray[np.int64]:
+def _check_drawn(law: laws.AgeLaw, seed: int = 5) -> NDArray[np.int64]:
     """Return the modes of a run; every age must be a whole number within the bound, and that of its mode."""
     draw = law.start(np.random.default_rng(seed)).draw
-    served = slots_served(law)
+    served = laws.slots_served(law)
     drawn = [draw() for _ in range(SLOTS if served is None else min(SLOTS, served))]
     bound, ages = law.max_age, list[int]()
-    if isinstance(law, ChainLaw | SemiMarkovLaw):
+    if isinstance(law, laws.ChainLaw | laws.SemiMarkovLaw):
         ages = asked("mode_ages", lambda: list(law.mode_ages))
         right = bool(ages) and all(map(_whole, ages))
         assert right, f"mode_ages is {law.mode_ages!r:.60}, expected the age of every mode, whole numbers"

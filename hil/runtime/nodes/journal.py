@@ -7,26 +7,9 @@ from itertools import chain
 from math import nan
 from typing import TYPE_CHECKING, Any
 
-from hil.log import SlotRecord
+from hil.log import SlotRecord, topics
 from hil.log.records import Channel
-from hil.log.topics import (
-    APPLIED,
-    BUS,
-    CA,
-    CONTROL,
-    EXTENDED,
-    FD,
-    MEASUREMENT,
-    PASSIVITY,
-    REFERENCE,
-    REMOTE,
-    ROWS,
-    SC,
-    SENSOR,
-    STATE,
-    SWITCH,
-    TOPICS,
-)
+from hil.log.topics import EXTENDED, FD, REMOTE, SWITCH
 from hil.log.write import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.safety import Injected
@@ -40,8 +23,8 @@ if TYPE_CHECKING:
     from transport.can_bus_model.bus import Transmission
     from transport.can_bus_model.node import CanNode
 
-_SENSED = (STATE.name, MEASUREMENT.name, REFERENCE.name)
-_ANSWERED = (CONTROL.name, ROWS.name)
+_SENSED = (topics.STATE.name, topics.MEASUREMENT.name, topics.REFERENCE.name)
+_ANSWERED = (topics.CONTROL.name, topics.ROWS.name)
 _DRAWS = range(1, 4)
 """How many decisions a network law takes in a slot that is recorded at once."""
 
@@ -63,16 +46,16 @@ class Journal:
     ) -> None:  # fmt: skip
         self.event = sink.event
         self._log = {topic: record_to(sink, channel) for topic, channel in channels.items()}
-        self._state = self._log[STATE.name]
-        self._y = self._log[MEASUREMENT.name]
-        self._r = self._log[REFERENCE.name]
-        self._u = self._log[APPLIED.name]
-        self._rows = self._log[ROWS.name]
-        self._sensor = self._log[SENSOR.name]
-        self._control = self._log[CONTROL.name]
-        self._passivity = self._log.get(PASSIVITY.name)
-        self._bus = self._log.get(BUS.name)
-        filled = [(TOPICS[topic].values, record) for topic, record in self._log.items()]
+        self._state = self._log[topics.STATE.name]
+        self._y = self._log[topics.MEASUREMENT.name]
+        self._r = self._log[topics.REFERENCE.name]
+        self._u = self._log[topics.APPLIED.name]
+        self._rows = self._log[topics.ROWS.name]
+        self._sensor = self._log[topics.SENSOR.name]
+        self._control = self._log[topics.CONTROL.name]
+        self._passivity = self._log.get(topics.PASSIVITY.name)
+        self._bus = self._log.get(topics.BUS.name)
+        filled = [(topics.TOPICS[topic].values, record) for topic, record in self._log.items()]
         self._filled = [(values, record) for values, record in filled if values is not None and record is not None]
         self._sensed: tuple[Any, ...] = ()  # what was asked in the slot, where a topic is filled from it
         self._row_values, self._numbers = row_values, tuple(numbers)
@@ -80,8 +63,8 @@ class Journal:
         self._sensor_ids = [(own[0],) for own in identifiers.sensors] if identifiers else [()] * len(self._numbers)
         self._control_id = (identifiers.control[0],) if identifiers else ()
         self._nowhere = (-1,) if identifiers else ()
-        self._asked_at_once = {n: records_to(sink, (*_SENSED, *[SC.name] * n, SENSOR.name)) for n in _DRAWS}
-        self._answered_at_once = {n: records_to(sink, (APPLIED.name, *[CA.name] * n, *_ANSWERED)) for n in _DRAWS}
+        self._asked_at_once = {n: records_to(sink, (*_SENSED, *[topics.SC.name] * n, topics.SENSOR.name)) for n in _DRAWS}
+        self._answered_at_once = {n: records_to(sink, (topics.APPLIED.name, *[topics.CA.name] * n, *_ANSWERED)) for n in _DRAWS}
 
     def slot_asked(
         self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float],
@@ -97,7 +80,7 @@ class Journal:
             return
         self.sensed(t_ns, k, state, y, r)
         for (draws, _), number in zip(sent, numbers):
-            self.draws(SC.name, t_ns, draws, number)
+            self.draws(topics.SC.name, t_ns, draws, number)
         self.asked(t_ns, k, frames)
 
     def slot_answered(
@@ -120,7 +103,7 @@ class Journal:
         self.applied(t_ns, k, applied, w)
         if injected is not None:
             self.injected(t_ns, k, injected)
-        self.draws(CA.name, t_ns, draws)
+        self.draws(topics.CA.name, t_ns, draws)
         if packet is not None:
             self.answered(t_ns, k, packet, data)
 
