@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
 )
-@click.option("--level", type=float, show_default="0.95", help="Confidence of that interval at the stop.")
+@click.option("--level", type=float, help="Confidence of that interval at the stop [0.95].")
 @click.option("--resume", type=PATH, help="Keep finished runs in this file, go on from it.")
 @click.option("--metric", "own", multiple=True, metavar="MODULE:FUNCTION", help="A number of your own: a function of a RunView.")
 @click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True,
