@@ -93,12 +93,12 @@ def with_traffic_files(e: Experiment) -> Experiment:
 
 LARGEST = 16_000_000
 _FLAGS = {"0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
-_CELLS: Final[dict[str, Callable[[str], Any]]] = {
-    **dict.fromkeys(("period", "offset", "jitter"), Seconds.parse),
-    **dict.fromkeys(("can_id", "length"), lambda cell: int(cell, 0)),
-    **dict.fromkeys(("extended", "fd"), lambda cell: _FLAGS[cell.lower()]),
+_CELLS: Final[dict[str, tuple[Callable[[str], Any], str]]] = {
+    **dict.fromkeys(("period", "offset", "jitter"), (Seconds.parse, "a duration such as 25ms")),
+    **dict.fromkeys(("can_id", "length"), (lambda cell: int(cell, 0), "a whole number such as 18 or 0x12")),
+    **dict.fromkeys(("extended", "fd"), (lambda cell: _FLAGS[cell.lower()], "yes or no")),
 }
-"""What a cell of a column is read by; any other is text."""
+"""What a cell of a column is read by, and what it holds; any other is text."""
 _TOO_LONG: Final = r"(?m)^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}"
 """cantools keeps every bit of a message in a list."""
 
@@ -128,7 +128,9 @@ def read_traffic(path: Path) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]
 def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
     import csv  # loaded where there is such a file
 
-    rows, found = csv.DictReader(text.splitlines()), []
+    lines = text.splitlines()
+    separator = ";" if lines and ";" in lines[0] else ","
+    rows, found = csv.DictReader(lines, delimiter=separator), []
     try:
         unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
         missing = {"can_id", "period"} - set(rows.fieldnames or ())
@@ -148,10 +150,11 @@ def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
 def _table(fields: dict[str, Any]) -> TrafficTable:
     values: dict[str, Any] = {}
     for key, value in fields.items():
+        read, wanted = _CELLS.get(key, (str, "text"))
         try:
-            values[key] = _CELLS.get(key, str)(value)
+            values[key] = read(value)
         except (ValueError, KeyError) as error:
-            raise ValueError(f"{key}: {value!r:.60}, {error}") from error
+            raise ValueError(f"{key}: {value!r:.60}, expected {wanted}") from error
     return _sound(values)
 
 

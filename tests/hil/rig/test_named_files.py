@@ -57,6 +57,12 @@ def test_a_table_of_traffic_is_known_by_its_ending_and_bounded(tmp_path: Path, m
     assert [each.can_id for each in read_traffic(path)[0]] == [0x12]
     (tmp_path / "spreadsheet.csv").write_text("\ufeffcan_id,period\n0x12,1\n")
     assert read_traffic(tmp_path / "spreadsheet.csv") == read_traffic(path)
+    (tmp_path / "spreadsheet.csv").write_text("can_id;period\n0x12;1\n")
+    assert read_traffic(tmp_path / "spreadsheet.csv") == read_traffic(path)
+    for cells, said in (("1;20,5 ms", "period: '20,5 ms', expected a duration"), ("x;1", "can_id: 'x', expected a whole number")):
+        (tmp_path / "spreadsheet.csv").write_text(f"can_id;period\n{cells}\n")
+        with pytest.raises(HilError, match=f"line 2: {said}"):
+            read_traffic(tmp_path / "spreadsheet.csv")
     monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()))
     assert read_traffic(path)[0]
     monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()) - 1)
