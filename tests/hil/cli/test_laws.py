@@ -47,7 +47,8 @@ def test_a_packet_law_shows_losses_and_the_ages_that_follow() -> None:
     assert "mean latency 40 ms" in text
 
 
-def test_recorded_latencies_come_from_beside_the_experiment(tmp_path: Path) -> None:
+def test_recorded_latencies_come_from_beside_the_experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis, "SIMULATED_SLOTS", 300)
     (tmp_path / "x.csv").write_text("120 ms\n")
     (tmp_path / "x.toml").write_text(shipped()["dc-motor-hinf"].read_text())
     given = 'network.sc.law={kind="packet", latency={file="x.csv"}}'
@@ -56,6 +57,7 @@ def test_recorded_latencies_come_from_beside_the_experiment(tmp_path: Path) -> N
 
 
 def test_a_full_queue_and_a_mean_that_is_a_bound_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis, "SIMULATED_SLOTS", 6000)
     text = laws("--set", 'network.ca.law={kind="packet", latency="120 ms", queue=1}')
     assert "0.6667 of the packets, 0.6667 at the full queue (from 50,000 simulated slots)" in text
     monkeypatch.setattr(analysis, "LONGEST", 1000)
