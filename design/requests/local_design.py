@@ -100,14 +100,12 @@ def game_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
 
 def _at_gamma(A: Array, B: Array, C: Array, input_weight: float, gamma: float) -> Array | None:
     """F of the saddle point (u, w) of sum |z|^2 - gamma^2 |w|^2, None where there is none."""
-    from scipy.linalg import solve_discrete_are
-
     m = B.shape[1]
     both = np.hstack([B, B])
     weight = np.diag(np.concatenate([np.full(m, input_weight**2), np.full(m, -(gamma**2))]))
     try:
-        X = np.asarray(solve_discrete_are(A, both, C.T @ C, weight), dtype=np.float64)
-    except (ValueError, np.linalg.LinAlgError):
+        X = _riccati("hinf", A, both, C.T @ C, weight)
+    except DesignError:
         return None
     if not np.isfinite(X).all() or np.linalg.eigvalsh(0.5 * (X + X.T)).min() < -1e-9 * np.abs(X).max():
         return None
