@@ -176,21 +176,16 @@ def _hinf_bound(c: _Channel, multiplier: float, best: float) -> float:
         enter = np.concatenate([c.B, c.M * gamma / root], axis=2)
         return solve_bounded_real((c.A, enter, output, direct, c.transition), gamma**2) is not None
 
-    low, high = 0.0, min(best, float(np.abs(c.C).max()))
-    if np.isfinite(best):
-        if not feasible(best):
+    low, high = 0.0, best if np.isfinite(best) else float(np.abs(c.C).max())
+    most = min(best, 2.0**60 * high)
+    while not feasible(high):
+        low, high = high, 2.0 * high
+        if not high < most:
             return np.inf
-        high, step = best, TOLERANCE * best  # a search ends by bounds that hardly fall
-        while step < high and feasible(high - step):
-            high, step = high - step, 4.0 * step
-        low = max(0.0, high - step)
-    else:
-        for _ in range(60):
-            if feasible(high):
-                break
-            low, high = high, 2.0 * high
-        else:
-            return np.inf
+    step = TOLERANCE * best  # a search ends by bounds that hardly fall
+    while high - step > low and feasible(high - step):
+        high, step = high - step, 4.0 * step
+    low = max(low, high - step)
     while high - low > TOLERANCE * high:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if feasible(middle) else (middle, high)
