@@ -54,17 +54,21 @@ def strong_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
     """
     follows, found, left = transition > 0.0, [], np.ones(len(transition), dtype=np.bool_)
     while left.any():
-        mode = int(left.argmax())
-        own = _led_to(follows, mode) & _led_to(follows.T, mode)
+        one = np.arange(len(left)) == left.argmax()
+        own = led_to(follows, one) & led_to(follows.T, one)
         found.append(np.flatnonzero(own))
         left &= ~own
     return found
 
 
-def _led_to(follows: npt.NDArray[np.bool_], mode: int) -> npt.NDArray[np.bool_]:
-    """Return to which modes a mode leads, itself among them."""
-    found: npt.NDArray[np.bool_] = np.arange(len(follows)) == mode
-    ahead = found
+def led_to(follows: npt.NDArray[np.bool_], begins: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return to which modes some modes lead, themselves among them, (N,).
+
+    Args:
+        follows: (N, N) which mode may follow which.
+        begins: (N,) from which modes on.
+    """
+    found = ahead = begins
     while ahead.any():
         ahead = follows[ahead].any(axis=0) & ~found
         found = found | ahead

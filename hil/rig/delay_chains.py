@@ -197,12 +197,9 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
         chain: the delay chain.
         initial: distribution of its mode in slot 0, (N,).
     """
-    follows, reached = chain.bounds[1] > 0.0, np.asarray(initial) > 0.0
-    while True:
-        more = reached | follows[reached].any(axis=0)
-        if np.array_equal(more, reached):
-            break
-        reached = more
+    from design.jump_linear.order_of_modes import led_to
+
+    reached = led_to(chain.bounds[1] > 0.0, np.asarray(initial) > 0.0)
     begins = None if chain.begins is None else np.asarray(initial)[reached] > 0.0
     if reached.all():
         return chain if begins is None else replace(chain, begins=begins)
@@ -226,11 +223,16 @@ def without_held(chain: DelayChain | None) -> DelayChain | None:
     """
     if chain is None or chain.held is None:
         return chain
-    reach = chain.bounds[1] > 0.0
-    for _ in range(chain.modes.bit_length()):
-        reach |= reach @ reach
-    lasting = within_reach(chain, reach.diagonal().astype(np.float64))
-    return None if lasting.holds.any() else replace(lasting, held=None, labels=None)
+    kept = within_reach(chain, lasting(chain)[0].astype(np.float64))
+    return None if kept.holds.any() else replace(kept, held=None, labels=None)
+
+
+def lasting(chain: DelayChain) -> tuple[NDArray[np.bool_], int]:
+    """Return which modes of a chain do not belong to its transient first slots, (N,), and the number of these slots."""
+    follows, lasts, slots = chain.bounds[1] > 0.0, np.ones(chain.modes, dtype=np.bool_), 0
+    while not np.array_equal(after := lasts & follows[lasts].any(axis=0), lasts):
+        lasts, slots = after, slots + 1
+    return lasts, slots
 
 
 def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:

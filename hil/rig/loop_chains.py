@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, controller_traits, row_count
 from hil.rig import RigSpec
 from hil.rig.can_bus import can_bus_of
-from hil.rig.delay_chains import Chains, begun, within_reach
+from hil.rig.delay_chains import Chains, begun, lasting, within_reach
 from hil.rig.receiver import Received, recorded_chain
 from hil.rig.slotted_media import slotted
 from transport.errors import NotKnown
@@ -181,14 +180,6 @@ def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:
     """
     lead = max(0 if chain.begins is None else lasting(chain)[1] for chain in (sc, ca))
     return _later(sc, lead), _later(ca, lead)
-
-
-def lasting(chain: DelayChain) -> tuple[NDArray[np.bool_], int]:
-    """Return which modes of a chain do not belong to its transient first slots, (N,), and the number of these slots."""
-    follows, lasts, slots = chain.bounds[1] > 0.0, np.ones(chain.modes, dtype=np.bool_), 0
-    while not np.array_equal(after := lasts & follows[lasts].any(axis=0), lasts):
-        lasts, slots = after, slots + 1
-    return lasts, slots
 
 
 def _later(chain: DelayChain, slots: int) -> DelayChain:

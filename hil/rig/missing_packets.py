@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from design.controllers import Controller, HistoryGains, controller_traits
 from hil.experiment import Experiment
 from hil.rig import RigSpec
-from hil.rig.delay_chains import Chains, begun
-from hil.rig.loop_chains import lasting
+from hil.rig.delay_chains import Chains, begun, lasting
 from hil.rig.schedules import as_one, no_commands
 from transport.laws import AgeChain
 

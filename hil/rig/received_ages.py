@@ -153,12 +153,8 @@ def _explored(
                     media_states, on_way = tuple(m for m, _, _ in media_now), tuple(samples for samples, _ in on_way_now)
                     yield State(t, media_states, laws, on_way), tuple(chances)  # type: ignore[misc]
 
-    reachable: dict[State, bool] = {}
-    for t in range(1 if in_phase else cycle):
-        for state, _ in successors(None, t):
-            reachable[state] = True
-            if len(reachable) > MOST_STATES:
-                return {}, []
+    begun = range(1 if in_phase else cycle)
+    reachable: dict[State, bool] = dict.fromkeys((state for t in begun for state, _ in successors(None, t)), True)
     number, unexplored, transitions = {state: i for i, state in enumerate(reachable)}, list(reachable), []
     while unexplored:
         state = unexplored.pop()
