@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from design.controllers.contract import row_count as row_count
     from design.controllers.gain_rows import GainIndex as GainIndex
     from design.controllers.gain_rows import feedforward as feedforward
-    from design.controllers.gain_rows import held_exactly as held_exactly
-    from design.controllers.gain_rows import nearest_held as nearest_held
     from design.controllers.gain_rows import nested as nested
     from design.controllers.historical import Historical as Historical
     from design.controllers.linear_law import AgedFeedback as AgedFeedback

@@ -12,17 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
-from design.controllers import (
-    Controller,
-    GainTable,
-    HistoryGains,
-    IntegralAction,
-    LoopModel,
-    controller_traits,
-    held_exactly,
-    nearest_held,
-    row_count,
-)
+from design.controllers import Controller, GainTable, HistoryGains, IntegralAction, LoopModel, controller_traits, row_count
+from design.controllers.gain_rows import held_exactly, nearest_held
 from design.controllers.rendered_wall import RendersWall
 from design.errors import DesignError, FieldError
 from design.whole_process import one_blas_thread
