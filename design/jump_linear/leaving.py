@@ -230,8 +230,9 @@ def _all_modes(turned: list[Any]) -> Callable[[Array], Array]:
 
 
 def _value(forms: Array, z: Array) -> Array:
-    """Values of forms (..., count) at monomials, rounding on the safe side, never below 0."""
-    return np.asarray(np.maximum((forms * z).sum(axis=-1), 0.0) + ROUNDING * (np.abs(forms) * np.abs(z)).sum(axis=-1))
+    """Values of forms (..., count) at monomials (count,), rounding on the safe side, never below 0."""
+    value, size = (np.einsum("...c,c->...", *each) for each in ((forms, z), (np.abs(forms), np.abs(z))))
+    return np.asarray(np.maximum(value, 0.0) + ROUNDING * size)
 
 
 SHARE = 1e-3
