@@ -6,8 +6,10 @@ Foxglove and Lichtblick show both; PlotJuggler has plots of a log.
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from functools import partial
+from threading import Thread
 from typing import Any, Final
 from xml.etree import ElementTree
 
@@ -23,6 +25,7 @@ from hil.session import Onlooker
 
 PORT: Final = 8765
 HOST: Final = "127.0.0.1"
+STOPS_S: Final = 0.5
 COLOURS: Final = ("#1f77b4", "#7f7f7f", "#17becf", "#d62728", "#2ca02c", "#9467bd")
 
 
@@ -43,6 +46,7 @@ class Foxglove:
             import foxglove
         except ImportError as error:
             raise HilError("--foxglove: needs foxglove-sdk: pip install 'hilrig[foxglove]'") from error
+        logging.getLogger("foxglove").addHandler(logging.NullHandler())  # else it prints a line for each client that breaks off
         self._sdk, self._context = foxglove, foxglove.Context()
         self._channels: list[Any] = []
         self.clock: Clock | None = None  # it paces nothing, and changes nothing
@@ -55,7 +59,9 @@ class Foxglove:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._server.stop()
+        stop = Thread(target=self._server.stop, daemon=True)  # it waits for each client in the middle of its handshake
+        stop.start()
+        stop.join(STOPS_S)
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
         """Offer the topics of a run; raw frames stay in the log."""

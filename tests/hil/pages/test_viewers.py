@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+import socket
 import struct
 import threading
 from pathlib import Path
@@ -73,6 +75,18 @@ def test_a_run_with_a_client_that_reads_nothing_is_the_same_run(tmp_path: Path) 
         client.send({"op": "subscribe", "subscriptions": [{"id": i, "channelId": i} for i in range(1, 3)]})
         beside = run_session(experiment, path=tmp_path / "b.mcap", onlooker=server)
     assert beside.summary["log"]["sha256"] == alone
+
+
+def test_a_client_in_the_middle_of_its_handshake_keeps_no_run_from_its_end() -> None:
+    """Ctrl-C did nothing for as long as it stayed there, and then each of them was a line on the terminal."""
+    server = Foxglove(0)
+    with socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))) as half:
+        half.sendall(b"GET / HTTP/1.1\r\n")
+        end = threading.Thread(target=server.__exit__, daemon=True)
+        end.start()
+        end.join(20)
+        assert not end.is_alive()
+    assert any(isinstance(each, logging.NullHandler) for each in logging.getLogger("foxglove").handlers)
 
 
 def test_a_taken_port_is_one_message() -> None:
