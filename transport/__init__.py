@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from transport.links import LinkCounters as LinkCounters
     from transport.links import Role as Role
     from transport.links import TransportError as TransportError
+    from transport.links.contract import MemoryLink as MemoryLink
     from transport.links.contract import check_link as check_link
-    from transport.links.memory import MemoryLink as MemoryLink
-    from transport.links.memory import memory_pair as memory_pair
+    from transport.links.contract import memory_pair as memory_pair
     from transport.links.opening import open_link as open_link
     from transport.links.traits import CanFraming as CanFraming
     from transport.links.traits import LinkTraits as LinkTraits

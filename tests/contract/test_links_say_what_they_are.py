@@ -53,7 +53,7 @@ def test_only_links_read_the_text_of_a_uri() -> None:
     "line",
     [
         'uri.startswith("can:")', 'link.uri.partition(":")', 'x = job.uri == "local:"', 'name.removeprefix("zenoh:")',
-        '"auth=" in uri', "from transport.links import split_uri", "from transport.links.memory import LOCAL",
+        '"auth=" in uri', "from transport.links import split_uri", "from transport.links.contract import LOCAL",
         'scheme == "can"',
     ],
 )  # fmt: skip

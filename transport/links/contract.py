@@ -1,16 +1,18 @@
-"""What every link must keep, as a check that the author of a link can run: ``check_link(open_pair)``.
+"""What every link must keep, as a check that the author of a link can run: ``check_link(open_pair)``; and the plainest link.
 
 Each check opens a fresh pair of ends in this process and raises `AssertionError` with what was broken.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from threading import Condition
 from time import monotonic
 from traceback import extract_tb
 from typing import Final
 
-from transport.links import Discoverable, Link
+from transport.links import Closing, Discoverable, Link, LinkCounters
 from transport.links.opening import check_is_link
 from transport.packets import ControlPacket, SensorPacket, encode_control, encode_sensor
 
@@ -23,6 +25,65 @@ does not run takes less."""
 
 _PATIENCE_S: Final = 30.0
 """How long a test waits for what comes in milliseconds on a machine that is not busy."""
+
+
+QUEUE_LIMIT: Final = 256
+"""Packets that wait at one end; what comes on top is dropped and counted by the sender."""
+
+
+class MemoryLink(Closing):
+    """One end of an in-process pair; make both with `memory_pair`. Ends may live in different threads."""
+
+    def __init__(self) -> None:
+        self.uri = "memory:"
+        self.counters = LinkCounters()
+        self.peer: MemoryLink | None = None
+        self._queue: deque[bytes] = deque()
+        self._arrived = Condition()
+        self._waiting = self._closed = False
+
+    def send(self, packet: bytes) -> None:
+        peer = self.peer
+        if self._closed or peer is None or peer._closed or len(peer._queue) >= QUEUE_LIMIT:
+            self.counters.dropped += 1
+            return
+        peer._queue.append(packet)
+        self.counters.sent += 1
+        # Looked at after the append: the receiver raises the flag before it looks at the queue a second time.
+        if peer._waiting:
+            with peer._arrived:
+                peer._arrived.notify()
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        queue = self._queue
+        if not queue and timeout_s > 0 and not self._closed:
+            with self._arrived:
+                self._waiting = True
+                if not queue and not self._closed:
+                    self._arrived.wait(timeout_s)
+                self._waiting = False
+        if not queue or self._closed:
+            return None
+        self.counters.received += 1
+        return queue.popleft()
+
+    def close(self) -> None:
+        with self._arrived:
+            self._closed = True
+            self._arrived.notify_all()
+
+
+def memory_pair() -> tuple[MemoryLink, MemoryLink]:
+    """Return the rig's and the controller's end of a new in-process link.
+
+    >>> rig, controller = memory_pair()
+    >>> rig.send(b"y")
+    >>> controller.receive(0), rig.receive(0)
+    (b'y', None)
+    """
+    rig, controller = MemoryLink(), MemoryLink()
+    rig.peer, controller.peer = controller, rig
+    return rig, controller
 
 
 def sensor(seq: int, outputs: int = 1) -> bytes:

@@ -6,7 +6,7 @@ A link of any scheme carries packets with a code or without; the plug-in knows n
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, get_args
+from typing import Final, Never, get_args
 from urllib.parse import urlencode
 
 from transport.errors import nearest
@@ -84,6 +84,17 @@ def open_link(uri: str, role: Role, period_s: float = 0.0) -> Link:
         last = extract_tb(error.__traceback__)[-1]
         where = "" if last.filename.startswith("<") else f" ({last.filename}, line {last.lineno})"  # <frozen importlib>
         raise TransportError(f"link {uri!r}: plug-in {plugin}: {type(error).__name__}: {error}{where}") from error
+
+
+def open_within(uri: str, role: Role) -> Never:
+    """Refuse ``local:`` and ``memory:``: the controller runs in the rig's own process, and no end is left to open by a URI.
+
+    Raises:
+        TransportError: always; it says what to use instead.
+    """
+    raise TransportError(
+        f"link {uri!r}: lives inside the rig's process, and no {role} can be opened by name; use can:hil:rig0 between processes"
+    )
 
 
 LINK: Final = {

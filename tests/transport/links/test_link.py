@@ -13,7 +13,7 @@ import pytest
 import transport
 from transport import Link, LinkCounters, TransportError, memory_pair, open_link
 from transport.installed import Folder, Point
-from transport.links.memory import QUEUE_LIMIT
+from transport.links.contract import QUEUE_LIMIT
 
 
 @pytest.mark.parametrize(
@@ -63,13 +63,13 @@ def test_a_role_that_is_none_is_refused() -> None:
 
 
 def test_a_users_link_comes_in_by_the_same_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    mine, broken = link_point("mine", "transport.links.memory:MemoryLink"), link_point("broken", "nowhere:Link")
+    mine, broken = link_point("mine", "transport.links.contract:MemoryLink"), link_point("broken", "nowhere:Link")
     monkeypatch.setattr("transport.links.opening.points", lambda begin: (mine, broken))
 
     def begin(self: object, uri: str, role: str) -> None:
         self.uri, self.counters = uri + role, LinkCounters()  # type: ignore[attr-defined]
 
-    monkeypatch.setattr("transport.links.memory.MemoryLink.__init__", begin)
+    monkeypatch.setattr("transport.links.contract.MemoryLink.__init__", begin)
     assert open_link("mine:x", "rig").uri == "mine:xrig"
     with pytest.raises(TransportError, match=r"plug-in broken = nowhere:Link, .*NotFoundError: No module named 'nowhere'$"):
         open_link("broken:x", "rig")
@@ -86,7 +86,7 @@ def test_a_users_link_that_raises_when_it_is_asked_what_it_has_is_one_message(
     key.write_text("00" * 16)
     key.chmod(0o600)
     asked = []
-    mine = link_point("mine", "transport.links.memory:MemoryLink")
+    mine = link_point("mine", "transport.links.contract:MemoryLink")
     monkeypatch.setattr("transport.links.opening.points", lambda begin: (mine,))
 
     def fails(self: object) -> str:
@@ -98,8 +98,8 @@ def test_a_users_link_that_raises_when_it_is_asked_what_it_has_is_one_message(
     def begin(self: object, uri: str, role: str) -> None:
         self.counters = LinkCounters()  # type: ignore[attr-defined]
 
-    monkeypatch.setattr("transport.links.memory.MemoryLink.__init__", begin)
-    monkeypatch.setattr("transport.links.memory.MemoryLink.uri", property(fails), raising=False)
+    monkeypatch.setattr("transport.links.contract.MemoryLink.__init__", begin)
+    monkeypatch.setattr("transport.links.contract.MemoryLink.uri", property(fails), raising=False)
     with pytest.raises(TransportError, match=r"plug-in mine = transport.*MemoryLink, of .*: RuntimeError: no address \(.*line"):
         open_link(f"mine:x{option.replace('KEY', str(key))}", "rig")
 

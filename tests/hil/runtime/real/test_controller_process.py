@@ -21,7 +21,7 @@ from hil.runtime.real.controller_process import ControllerReport, _answer_next, 
 from tests.hil.cli.conftest import run_main
 from transport import LinkCounters
 from transport.links import Closing, Link, zenoh_refusals
-from transport.links.memory import memory_pair
+from transport.links.contract import memory_pair
 from transport.packets import ControlPacket, SensorPacket, decode, encode_sensor
 
 OPEN = "hil.runtime.real.controller_process.open_link"

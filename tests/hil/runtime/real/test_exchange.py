@@ -35,7 +35,7 @@ from hil.runtime.real.exchange import (
 )
 from hil.runtime.slot import Slot
 from hil.runtime.virtual import simulate
-from transport.links.memory import MemoryLink
+from transport.links.contract import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 from transport.wire import HELLO, echo
 

@@ -33,7 +33,7 @@ from hil.runtime.real.exchange import Handshake
 from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop
 from hil.runtime.real.supervisor import Processes, run_real
 from transport.can_bus_model.disturbances import BusFault
-from transport.links.memory import MemoryLink
+from transport.links.contract import MemoryLink
 from transport.links.opening import open_link
 
 NEVER_CLOSED = """
