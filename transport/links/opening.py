@@ -93,7 +93,8 @@ def open_within(uri: str, role: Role) -> Never:
         TransportError: always; it says what to use instead.
     """
     raise TransportError(
-        f"link {uri!r}: lives inside the rig's process, and no {role} can be opened by name; use can:hil:rig0 between processes"
+        f"link {uri!r}: the controller runs in the rig's own process, and no {role} can be opened by name; "
+        "use can:hil:rig0 between processes"
     )
 
 

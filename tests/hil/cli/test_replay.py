@@ -56,7 +56,7 @@ def test_every_frame_that_is_put_on_a_bus_is_counted(hil_log: Path) -> None:
         (["--controller", "nosuch"], "no controller plug-in is called 'nosuch'"),
         (["--controller", ""], "no controller plug-in is called ''"),
         (["--onto", ""], "link '': no scheme"),
-        (["--onto", "memory:"], "lives inside the rig"),
+        (["--onto", "memory:"], "runs in the rig's own process"),
         (["--onto", "can:hil:x", "--speed", "0"], "--speed: 0.0"),
         (["--onto", "can:hil:x", "--speed", "nan"], "--speed: nan"),
         (["--onto", "can:hil:x", "--speed", "1e-300"], "--speed: 1e-300"),
