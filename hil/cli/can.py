@@ -41,7 +41,7 @@ def can() -> None:
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
 @click.option("--duration", type=Duration(above=True, most=3600.0), default="10", show_default=True, help="How long to simulate.")
 @click.option("--errors", type=click.IntRange(1), help="Errors that may come at once; the bounds allow for them.")
-@click.option("--error-interval", type=Duration(above=True), help="--errors: time between further errors; 1 s by default.")
+@click.option("--error-interval", type=Duration(1e-9), help="--errors: time between further errors; 1 s by default.")
 @click.option("-o", "--output", type=OUTPUT, metavar="PAGE.html", help="Write a page here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
@@ -225,6 +225,7 @@ def _decode(database: Any, log: Path) -> None:
     from cantools.database import DecodeError
 
     from hil.files.can_logs import can_frames
+    from hil.log import plain
 
     found = foreign = 0
     for frame in can_frames(log):
@@ -239,8 +240,7 @@ def _decode(database: Any, log: Path) -> None:
             signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
         except (DecodeError, ValueError) as e:
             raise HilError(f"{log}: a frame {frame.arbitration_id:#x} is none of {message.name}: {e}") from e
-        values = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
-        print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **values}))
+        print(json.dumps(plain({"t_s": round(frame.timestamp, 9), "frame": message.name, **signals})))
         found += 1
     if foreign:
         print(f"hil: {visible(str(log))}: {foreign} frames have an identifier of this DBC and are of no packet", file=sys.stderr)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 CAN_LOG_ENDINGS: Final = (".log", ".asc", ".blf")
+LATEST_S: Final = 1e12
+"""Of a recorded instant, s: what is beyond it is none."""
 LONGEST_LINE: Final = 4096
 LARGEST: Final = 1 << 24
 """Bytes of an object of a BLF file, packed or not; Vector's programs gather 128 kB in one."""
@@ -39,8 +41,15 @@ def can_frames(path: Path) -> Iterator[can.Message]:
     It is candump's or Vector's text, or BLF with a bound on what it unpacks to.
 
     Raises:
-        HilError: it cannot be read, is no regular file, or is no such log.
+        HilError: it cannot be read, is no regular file, or is no such log; a time stamp is no instant.
     """
+    for number, frame in enumerate(_frames(path), 1):
+        if not abs(frame.timestamp) < LATEST_S:
+            raise HilError(f"{path}: frame {number}: {frame.timestamp!r:.40} is no instant, expected seconds below {LATEST_S:g}")
+        yield frame
+
+
+def _frames(path: Path) -> Iterator[can.Message]:
     from transport.links.python_can import can
 
     if path.suffix not in CAN_LOG_ENDINGS:

@@ -61,7 +61,8 @@ def bus_page(found: BusAnalysis) -> Page:
     table = Table(
         columns=[*columns, "met", "delayed by"], rows=rows, wide=True,
         note="Met: whether its deadline is. Delayed by: how many messages win over it, and the last three of them; beside these "
-        "one frame of any other may be on the bus already. A message with a dash for its bound has none.",
+        "one frame of any other may be on the bus already. A message with a dash for its bound has none, or one that takes too "
+        "long to compute.",
     )  # fmt: skip
     full = f"The messages need {100 * found.load:.1f} % of the bus: those of low priority are not sent, or ever later."
     rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")

@@ -95,8 +95,8 @@ def bus_load(messages: Sequence[PeriodicMessage], rates: BitRates) -> Fraction:
 ERROR_BITS: Final = 31
 """An error costs at most so many bits besides the frame that is sent again."""
 
-MOST_INSTANCES: Final = 100_000
-"""A busy period with more instances of one message than this is given up."""
+MOST_TERMS: Final = 10_000_000
+"""Terms of sums, some seconds: nearly full buses of a thousand messages would take hours."""
 
 
 class ErrorBursts(Struct, frozen=True, kw_only=True):
@@ -131,7 +131,8 @@ class ResponseTime(Struct, frozen=True, kw_only=True):
         message: whose it is.
         frame_ns: its longest frame, with intermission.
         blocking_ns: the longest frame of a lower priority that may be on the bus already.
-        response_ns: from the instant at which it is due to the end of its frame's EOF; None if it has no bound.
+        response_ns: from the instant at which it is due to the end of its frame's EOF; None if it has no bound, or one that takes
+            too long to compute.
         intermission_ns: the same to the end of the intermission, as the literature counts; None without a bound.
         instance: which instance of the busy period is the slowest, from 0.
         delayed_by: names of the messages that win over it.
@@ -181,7 +182,9 @@ def in_order(messages: Sequence[PeriodicMessage], rates: BitRates) -> list[InUni
     return order
 
 
-def response_times(messages: Sequence[PeriodicMessage], rates: BitRates, errors: ErrorBursts | None = None) -> list[ResponseTime]:
+def response_times(
+    messages: Sequence[PeriodicMessage], rates: BitRates, errors: ErrorBursts | None = None, *, terms: int = MOST_TERMS
+) -> list[ResponseTime]:  # fmt: skip
     r"""Return the bound of every message, in order of priority.
 
     Of message m, with :math:`C` the longest frames with intermission, T periods, J jitters and hp(m) the messages that win over
@@ -203,6 +206,7 @@ def response_times(messages: Sequence[PeriodicMessage], rates: BitRates, errors:
         messages: all that is sent on the bus; each node queues by priority.
         rates: of the bus.
         errors: how many errors there may be; None: none.
+        terms: so many are added up for all messages together; those that are left then have no bound.
 
     Raises:
         ValueError: two messages have one identifier.
@@ -213,13 +217,12 @@ def response_times(messages: Sequence[PeriodicMessage], rates: BitRates, errors:
     [2.0, 3.0, 3.5]
     """
     known = in_order(messages, rates)
-    found, load = [], Fraction(0)
+    found, load, left = [], Fraction(0), terms
     for place, own in enumerate(known):
         higher = known[:place]
         blocking = max((other.length for other in known[place + 1 :]), default=0)
         load += Fraction(own.length, own.period)
-        slowest = _slowest(own, higher, blocking, load, rates, errors)
-        response, instance = (None, 0) if slowest is None else slowest
+        response, instance, left = _slowest(own, higher, blocking, load, rates, errors, left)
         found.append(
             ResponseTime(
                 message=own.message,
@@ -235,9 +238,9 @@ def response_times(messages: Sequence[PeriodicMessage], rates: BitRates, errors:
 
 
 def _slowest(
-    own: InUnits, higher: Sequence[InUnits], blocking: int, load: Fraction, rates: BitRates, errors: ErrorBursts | None
-) -> tuple[int, int] | None:  # fmt: skip
-    """Return the largest response time in units and its instance; None without a bound."""
+    own: InUnits, higher: Sequence[InUnits], blocking: int, load: Fraction, rates: BitRates, errors: ErrorBursts | None, left: int
+) -> tuple[int | None, int, int]:  # fmt: skip
+    """Return the largest response time in units, None without a bound; its instance; how many of so many terms are left."""
     of_bus = [*higher, own]
     per_error = 0 if errors is None else ERROR_BITS * rates.bit + max(each.length for each in of_bus)
 
@@ -246,25 +249,26 @@ def _slowest(
 
     load += 0 if errors is None else Fraction(per_error, rates.units(errors.interval_ns))
     if load > 1 or (load == 1 and (blocking or errors or any(each.jitter for each in of_bus))):
-        return None  # the busy period never ends
-    busy = own.length
-    while (longer := lost(busy) + blocking + sum(_ceil(busy + k.jitter, k.period) * k.length for k in of_bus)) != busy:
-        busy = longer
-        if busy > MOST_INSTANCES * own.period:
-            return None
-    response, instance = 0, 0
-    queued = blocking
+        return None, 0, left  # the busy period never ends
+    busy, before = own.length, 0
+    while busy != before:
+        if (left := left - len(of_bus)) < 0:
+            return None, 0, left
+        before = busy
+        busy = lost(busy) + blocking + sum(_ceil(busy + k.jitter, k.period) * k.length for k in of_bus)
+    response, instance, queued = 0, 0, blocking
     for q in range(_ceil(busy + own.jitter, own.period)):
-        while True:
+        before = -1
+        while queued != before:
+            if (left := left - len(of_bus)) < 0:
+                return None, 0, left
+            before = queued
             interference = sum(_ceil(queued + k.jitter + rates.bit, k.period) * k.length for k in higher)
-            longer = lost(queued + own.length) + blocking + q * own.length + interference
-            if longer == queued:
-                break
-            queued = longer
+            queued = lost(queued + own.length) + blocking + q * own.length + interference
         if own.jitter + queued - q * own.period + own.length > response:
             response, instance = own.jitter + queued - q * own.period + own.length, q
         queued += own.length
-    return response, instance
+    return response, instance, left
 
 
 def _ceil(number: int, divisor: int) -> int:

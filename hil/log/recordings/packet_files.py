@@ -16,6 +16,7 @@ import numpy as np
 from hil.errors import HilError
 from hil.files import open_regular
 from hil.files.arrays import read_columns
+from hil.files.can_logs import LATEST_S
 from hil.log.recordings import ROUND_TRIP, THERE, Array, Recording, Way
 from transport.packets import ControlPacket, SensorPacket, decode, packet_size
 
@@ -119,8 +120,6 @@ def _frames(data: bytes) -> Iterator[SensorPacket | ControlPacket]:
         at += size if frame is not None and size else 1
 
 
-LATEST_S = 1e12
-"""No instant of a clock is as late, s."""
 VALUES = {"latency_s": (THERE, 1.0), "latency_ms": (THERE, 1e-3), "rtt_s": (ROUND_TRIP, 1.0), "rtt_ms": (ROUND_TRIP, 1e-3)}
 NOMINAL_S = 1.0
 """Time between packets of a table that does not say when they were sent."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 from pathlib import Path
 
+import msgspec
 import pytest
 from click.testing import CliRunner
 
@@ -91,6 +93,14 @@ def test_a_foreign_frame_with_an_identifier_of_ours_is_left_out_and_said(tmp_pat
     done = CliRunner().invoke(command, asked, catch_exceptions=False)
     assert [json.loads(line)["Seq"] for line in done.stdout.splitlines() if line.startswith("{")] == [7]
     assert f"{len(foreign) + 2} frames have an identifier of this DBC and are of no packet" in done.stderr
+
+
+def test_what_a_packet_holds_is_json_whatever_number_it_is(tmp_path: Path) -> None:
+    packet = encode_sensor(SensorPacket(7, 0, 0, (math.nan,), reference=(math.inf,)))
+    (tmp_path / "run.log").write_text(f"(1.0) can0 100##1{packet.hex()}\n")
+    done = CliRunner().invoke(command, ["dc-motor-hinf", "--decode", str(tmp_path / "run.log")], catch_exceptions=False)
+    said = msgspec.json.decode(done.stdout)
+    assert (said["angle_0"], said["ref_angle"]) == ("nan", "inf")
 
 
 def test_each_node_has_messages_of_its_own_which_read_as_what_it_measured(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ FD = "name,can_id,length,period,fd\na,1,12,10 ms,true\n"
          "recorded frames have no period, and no bound follows from them"),
         (("can", "analyse", "bus.log", "--bitrate", "500k"), "bus.log: recorded frames have no period"),
         (("can", "analyse", "fd.csv", "--error-interval", "1ms"), "--error-interval: only with --errors"),
+        (("can", "analyse", "fd.csv", "--errors", "1", "--error-interval", "1e-10"), "1e-10 s, expected a duration from 1e-09 s"),
         (("can", "analyse", "fd.csv"), "--bitrate: missing; fd.csv says no bit rate"),
         (("can", "analyse", "fd.csv", "--bitrate", "500k"), "--dbitrate: missing; fd.csv has CAN FD messages"),
         (("can", "analyse", "fd.csv", "--bitrate", "501k", "--dbitrate", "2M"), "--bitrate: 501000"),

@@ -17,6 +17,8 @@ FRAMES = "(10.004000) can0 123#1122\n(10.000000) can0 18FF0001#R2\n(10.001000) c
     ("text", "message"),
     [
         ("", "no frame"),
+        ("(1.0) can0 123#11\n(nan) can0 124#11\n", "frame 2: nan is no instant, expected seconds below 1e"),
+        ("(1e400) can0 123#11\n", "frame 1: inf is no instant, expected seconds below 1e"),
         ("(1.0) can0 123#11\n(1.0) can0 124#11\n", "every frame has the time stamp 1; a recording with time stamps is needed"),
         (FRAMES + "(10.005000) can0 123#1122\n", "more than 3 frames"),
     ],

@@ -77,6 +77,14 @@ def test_frames_of_exactly_the_whole_bus_have_a_bound_where_nothing_else_is_in_t
     assert response_times([replace(each, jitter_ns=1) for each in whole], BitRates(125_000))[-1].response_ns is None
 
 
+def test_bounds_that_take_too_long_to_compute_are_none() -> None:
+    whole = response_times(SAE, BitRates(125_000))
+    some = response_times(SAE, BitRates(125_000), terms=100)
+    last = next(i for i, each in enumerate(some) if each.response_ns is None)
+    assert 0 < last < len(SAE) and some[:last] == whole[:last]
+    assert all(each.response_ns is None and not each.in_time for each in some[last:])
+
+
 def test_can_fd_with_bit_rate_switch_counts_both_rates() -> None:
     fast = PeriodicMessage(name="fd", identifier=1, length=64, period_ns=10 * MS, fd=True, bitrate_switch=True)
     found = response_times([fast], BitRates(500_000, 2_000_000))[0]
