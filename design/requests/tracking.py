@@ -165,6 +165,8 @@ class Designed:
             return self._as_filed(task, read, read.gains, read.selection)
         sc, ca = task.chains
         ages: tuple[int, ...] = ()
+        if several and self.samples > 1:
+            raise FieldError("samples", f"{self.samples} in one packet, but no node alone sends so many samples of every output")
         if several and self.sojourns > 1:
             raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")
         if several and self.node_ages == "each":

@@ -13,7 +13,8 @@ ends no worse.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,8 +32,8 @@ __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
 Progress = Callable[[str, int, int, float], None]
 BARRIER_WEIGHTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 MIXED_SLACK = 1.05
-STABLE_STARTS = 4
-"""Starts of the search for first gains that are stable."""
+RANDOM_STARTS = 3
+"""Of the search for first gains that are stable."""
 ROUGH = 1e-6
 """Relative gain below which a descent stops whose result is only a start."""
 
@@ -131,11 +132,10 @@ def _multistart(
     problem: TrackingProblem, objective: LoopObjective, progress: Progress | None, *, rough: bool = False
 ) -> tuple[Descent, tuple[float, ...]]:
     """Descend from every start; roughly where the result is only a start itself."""
-    space = objective.space
     count = problem.starts or DEFAULT_STARTS[str(problem.objective)]
     rng = np.random.default_rng(problem.seed)
     report = progress or (lambda stage, start, starts, value: None)
-    first = _first_stable(problem, objective, space.coordinates(np.zeros(space.shape)))
+    first = _first_stable(problem, objective)
     centre = _descend(objective.descend_h2, first)
     report("h2", 1, count, centre.value)
     results: list[Descent] = []
@@ -159,26 +159,59 @@ def _multistart(
     return best, tuple(float(r.value) for r in results)
 
 
-def _first_stable(problem: TrackingProblem, objective: LoopObjective, zero: Array) -> Array:
-    """Return coordinates of stable gains, searched for from zero and then from random starts.
+def _first_stable(problem: TrackingProblem, objective: LoopObjective) -> Array:
+    """Return coordinates of stable gains: the first that are found from `_stable_starts`.
 
     Raises:
         NotStable: none were found; that is no proof that there are none.
     """
-    rng, best = np.random.default_rng((problem.seed, STABLE_STARTS)), np.inf
-    for start in range(STABLE_STARTS):
+    radii = []
+    for start in _stable_starts(problem, objective):
         try:
-            return stabilising(objective, zero if start == 0 else zero + 0.1 * rng.standard_normal(zero.shape))
+            return stabilising(objective, start)
         except NotStable as error:
-            best = min(best, float(error.value) if error.value is not None else np.inf)
-    advice = "samples = 2, " if problem.samples == 1 else ""
+            radii.append(np.inf if error.value is None else float(error.value))
+    advice = "samples = 2, " if problem.samples == 1 and problem.chains[0].ages is None else ""
     found = NotStable(
-        f"no gains found that make the loop mean-square stable: none in {STABLE_STARTS} starts of the search, best second-moment "
-        f"radius {best:.6g}, expected < 1; that is no proof that there are none: try {advice}another information pattern or a "
-        "shorter period",
-        value=best,
+        f"no gains found that make the loop mean-square stable: none in {len(radii)} starts of the search, best second-moment "
+        f"radius {min(radii):.6g}, expected < 1; that is no proof that there are none: try {advice}another information pattern, "
+        "another period, or a controller with an observer, such as local-designed",
+        value=min(radii),
     )
     raise _with_class(problem, objective, found)
+
+
+def _stable_starts(problem: TrackingProblem, objective: LoopObjective) -> Iterator[Array]:
+    """Coordinates from which stable gains are searched for: zero, a state feedback, random ones."""
+    zero = objective.space.coordinates(np.zeros(objective.space.shape))
+    yield zero
+    with suppress(np.linalg.LinAlgError):  # an eigenvalue on the unit circle that z does not see
+        yield objective.space.coordinates(_state_feedback(problem, objective.space.shape))
+    rng = np.random.default_rng((problem.seed, RANDOM_STARTS))
+    for _ in range(RANDOM_STARTS):
+        yield zero + 0.1 * rng.standard_normal(zero.shape)
+
+
+def _state_feedback(problem: TrackingProblem, shape: tuple[int, int, int, int]) -> Array:
+    """Return gains (shape) of a linear-quadratic state feedback, of the state that the samples of a packet show.
+
+    At a short period the gains on two samples are large and of opposite signs, far from zero. The samples are taken as those
+    of a plant without input, and carried over the S-C delay. The gains on an integral are 0.
+
+    Raises:
+        LinAlgError: the Riccati equation has no solution.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    A, B, C = (np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C))
+    R, last = 1e-4 * np.eye(B.shape[1]), problem.samples - 1
+    X = solve_discrete_are(A, B, C.T @ C, R)
+    feedback = -np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)
+    oldest = np.linalg.pinv(np.concatenate([C @ np.linalg.matrix_power(A, last - i) for i in range(last + 1)]))
+    gains = np.zeros(shape)
+    for label, delay in enumerate(problem.chains[0].label_delay.clip(0)):
+        gains[label, :, :, : oldest.shape[1]] = feedback @ np.linalg.matrix_power(A, int(delay) + last) @ oldest
+    return gains
 
 
 def _other_start(

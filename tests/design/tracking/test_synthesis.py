@@ -17,7 +17,7 @@ from design.tracking.bfgs import bfgs
 from design.tracking.loop_objective import LoopObjective, closed_classes, stabilising
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.bench.modes import shortening_chain
-from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R
+from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R, zero_order_hold
 from tests.waiting import LIMIT_S
 
 # What the issue demands: stacked z, R = 0.01, uniform initial distribution.
@@ -189,9 +189,18 @@ def test_unstabilisable_plant_is_refused_with_its_eigenvalue():
 
 
 def test_too_unstable_plant_for_the_network_is_refused_with_the_radius():
-    with pytest.raises(NotStable, match="none in 4 starts of the search, best second-moment radius") as caught:
+    with pytest.raises(NotStable, match="none in 5 starts of the search, best second-moment radius") as caught:
         solve(TrackingProblem(A=[[3.0]], B=[[1.0]], C=[[1.0]], sc=LAMBDA, ca=PI, starts=1))
     assert caught.value.value > 1
+
+
+@pytest.mark.parametrize("sc", [[[1.0]], LAMBDA], ids=["no-delay", "markov"])
+def test_cart_pole_at_a_short_period_is_stabilised_from_two_samples(sc):
+    A = np.array([[0, 1, 0, 0], [0, -0.1, -0.98, 0], [0, 0, 0, 1], [0, 0.2, 21.56, -0.05]])
+    A, B = zero_order_hold(A, np.array([[0], [1], [0], [-2]]), 0.01)
+    C = [[1.0, 0, 0, 0], [0, 0, 1.0, 0]]  # gains of -300 and 300 on two samples of the angle: no start near zero finds them
+    problem = TrackingProblem(A=A, B=B, C=C, sc=sc, ca=[[1.0]], samples=2, starts=1)
+    assert solve(problem).certificate.mean_square_radius < 0.999
 
 
 def test_absorbing_bad_mode_is_named_with_the_radius():
