@@ -193,6 +193,8 @@ def main(args: list[str] | None = None) -> Any:
             said = "no free file descriptor; raise the limit: ulimit -n 64"
         elif e.errno in (errno.ENAMETOOLONG, errno.ELOOP) and e.filename is not None:
             said = f"{str(e.filename)[:200]!r}: no path to a file: {e.strerror}"
+        elif e.errno == errno.ENOENT and e.filename is None:  # of os.getcwd
+            said = "the working folder is gone; change to one that is there"
         elif e.errno in (errno.ENOSPC, errno.EDQUOT):
             said = f"{e.filename or 'output'}: cannot be written: {e.strerror}"
         else:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +17,9 @@ from hil.cli.option_types import PATH, Duration, Questions
 from hil.cli.run import LONGEST_WAIT_S, run, session_options
 from hil.cli.terminal import Working, answer, json_option, visible
 from hil.errors import nearest
+
+if TYPE_CHECKING:
+    from hil.runtime.real.controller_process import ControllerReport
 
 NONE_THERE = 1  # exit status: neither rig nor controller
 
@@ -47,6 +50,8 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
 
     The rig is started elsewhere: hil rig EXPERIMENT --link URI.
 
+    At its end it says what it counted, where frames came that were not of this rig, or not of their slot.
+
     Exit status: 1 a control law or link of your own raised, 2 bad input.
     """
     from hil.compose import compose
@@ -64,7 +69,14 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
     def say(text: str) -> None:
         print(f"hil: {visible(text)}", file=sys.stderr)
 
-    say(serve(loop, uri, opened=lambda: say(f"controller of {loop.experiment.name} on {uri}; Ctrl-C ends it"), warn=say))
+    def opened() -> None:
+        say(f"controller of {loop.experiment.name} on {uri}; Ctrl-C ends it")
+
+    def at_end(report: ControllerReport) -> None:
+        if any(count for name, count in report.counts.items() if name not in ("sent", "received")):
+            say(f"link {', '.join(f'{name} {count}' for name, count in report.counts.items() if count)}")
+
+    say(serve(loop, uri, opened=opened, at_end=at_end, warn=say))
     raise SystemExit(1)
 
 

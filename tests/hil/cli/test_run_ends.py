@@ -200,6 +200,13 @@ def test_json_for_a_closed_output_runs_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "a.mcap").exists()
 
 
+def test_a_working_folder_that_is_gone_is_said(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    words = f"cd {tmp_path}/gone; rmdir {tmp_path}/gone; exec {sys.executable} -m hil run e.toml"
+    done = subprocess.run(["sh", "-c", words], env={**os.environ, "PYTHONPATH": str(Path.cwd())}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (2, "hil: the working folder is gone; change to one that is there\n")
+
+
 def test_a_fault_of_the_machine_is_one_line(tmp_path: Path) -> None:
     words = f"{sys.executable} -m hil list 1< /dev/null"  # standard output that cannot be written
     done = subprocess.run(["sh", "-c", words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)

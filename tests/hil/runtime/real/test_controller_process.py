@@ -151,3 +151,15 @@ def test_a_controller_that_is_asked_to_end_reports_once(loop: Loop, monkeypatch:
     with pytest.raises(Terminated):
         serve(loop, "idle:", at_end=said.append)
     assert len(said) == 1 and said[0].failed is None and said[0].counts["received"] == 0
+
+
+@pytest.mark.parametrize("malformed", [0, 7])
+def test_the_command_of_a_controller_says_at_its_end_which_frames_it_did_not_take(
+    malformed: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link = Idle()
+    link.counters = LinkCounters(received=3, malformed=malformed)
+    monkeypatch.setattr(OPEN, lambda uri, role, period_s: link)
+    monkeypatch.setattr(zenoh_refusals, "_free", False)  # the command sets it
+    assert run_main("controller", "dc-motor-local", "--link", "can:hil:x") == 143
+    assert ("\nhil: link received 3, malformed 7\n" in capsys.readouterr().err) == bool(malformed)
