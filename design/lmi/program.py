@@ -28,8 +28,6 @@ from scipy import sparse
 from design.errors import FieldError, solver
 
 FloatArray = npt.NDArray[np.float64]
-
-
 Array = npt.NDArray[Any]
 Function = Callable[..., Array]
 

@@ -161,12 +161,14 @@ def mean_states(
     return mean.T
 
 
-PAGE = 64
+CHAIN_BLOCKS = 64
 """Blocks of random numbers of a chain that are drawn at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Task:
+class _ChainEnergies:
+    """What one chunk of `mjls_energies` needs to know, and how it computes them; it travels to the workers."""
+
     system: MJLS
     start: FloatArray
     initial: FloatArray
@@ -178,7 +180,7 @@ class _Task:
     def __call__(self, chunk: int) -> FloatArray:
         A, _, C, _, transition = self.system.matrices
         inside = inside_chunk(chunk, self.first, self.runs, CHUNK)
-        chain = DrawTable(self.seed, chunk * CHUNK, CHUNK, purpose=CHAIN, blocks=PAGE)
+        chain = DrawTable(self.seed, chunk * CHUNK, CHUNK, purpose=CHAIN, blocks=CHAIN_BLOCKS)
         edges = np.cumsum(transition, axis=1)[:, :-1].T  # (N - 1, N): the last target takes what is left
         mode = (chain.row(0) >= np.cumsum(self.initial)[:-1, None]).sum(axis=0)
         x = np.ascontiguousarray(self.start[mode].T)
@@ -227,7 +229,7 @@ def mjls_energies(
     shape = (system.modes, system.order)
     if x0.shape not in (shape, shape[1:]) or not np.isfinite(x0).all():
         raise FieldError("start", f"expected finite numbers of shape {shape[1:]} or {shape}, got shape {x0.shape}")
-    task = _Task(
+    energies = _ChainEnergies(
         system=system,
         start=np.broadcast_to(x0, shape),
         initial=system.alpha(initial),
@@ -236,4 +238,4 @@ def mjls_energies(
         first=first,
         runs=runs,
     )
-    return np.concatenate([part for _, part in in_chunks(task, first, runs, CHUNK, workers)])
+    return np.concatenate([part for _, part in in_chunks(energies, first, runs, CHUNK, workers)])

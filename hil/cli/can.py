@@ -190,14 +190,10 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
     from hil.rig.session_link import rig_dbc
     from transport import dbc_path
     from transport.links import TransportError
-    from transport.links.can_open import check_options
-    from transport.links.traits import scheme_of
 
     if experiment is None:
         return dbc_path().read_text(encoding="utf-8")
     with located(experiment, TransportError, ValueError):
-        if link is not None and scheme_of(link) == "can":
-            check_options(link)
         return rig_dbc(rig_of(load_experiment(experiment, sets)), link)
 
 

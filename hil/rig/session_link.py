@@ -18,7 +18,7 @@ from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_ro
 from hil.rig.schedules import bus_faults
 from transport.links import Link, Role, TransportError
 from transport.links.can_identifiers import Identifiers, identifiers_text
-from transport.links.traits import CanFraming, LinkTraits, identifiers_on, traits_of, with_options
+from transport.links.traits import CanFraming, LinkTraits, identifiers_on, scheme_of, traits_of, with_options
 
 if TYPE_CHECKING:
     from transport.can_bus_model.disturbances import BusFault
@@ -213,9 +213,14 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
 
     Raises:
         ExperimentError: two nodes with one CAN identifier, or one of more than 11 bits.
+        TransportError: another link that there cannot be.
     """
     from transport.dbc import LONGEST_NAME, BusNode, dbc_text  # no run needs it: a hundredth of its start
 
+    if link is not None and scheme_of(link) == "can":
+        from transport.links.can_open import check_options  # of an interface but `hil` it needs python-can
+
+        check_options(link)
     on = link_of(rig, link)
     own, framing, sensors = on.identifiers, on.traits.can or CanFraming(), rig.sensors
     if own is None:
