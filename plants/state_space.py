@@ -248,13 +248,9 @@ class TransferFunction:
 
 
 def from_control(
-    system: control.StateSpace | control.TransferFunction,
-    *,
-    inputs: Sequence[Signal] = (),
-    outputs: Sequence[Signal] = (),
-    states: Sequence[Signal] = (),
-    initial_state: Sequence[float] = (),
-) -> LinearPlant:
+    system: control.StateSpace | control.TransferFunction, *, inputs: Sequence[Signal] = (), outputs: Sequence[Signal] = (),
+    states: Sequence[Signal] = (), initial_state: Sequence[float] = (),
+) -> LinearPlant:  # fmt: skip
     """Return the plant that a python-control model describes.
 
     Args:

@@ -140,14 +140,9 @@ class GainRows:
     """
 
     def __init__(
-        self,
-        K: Matrix,
-        selection: Selection,
-        model: LoopModel,
-        integral: bool = False,
-        sojourns: Sequence[int] = (),
+        self, K: Matrix, selection: Selection, model: LoopModel, integral: bool = False, sojourns: Sequence[int] = (),
         limit: Sequence[float] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.selection = selection
         self._limit = tuple(map(float, limit))
         self._sum = [0.0] * model.C.shape[0] if integral else []

@@ -53,16 +53,9 @@ ROUNDING = 1e-9
 
 
 def certify_wall(
-    *,
-    device: HeldDevice,
-    wall: Wall,
-    coupler: Coupler,
-    period_s: float,
-    sc: DelayChain | int,
-    ca: DelayChain | int,
-    equalised: bool = False,
-    saturates_n: float = math.inf,
-) -> Verdict:
+    *, device: HeldDevice, wall: Wall, coupler: Coupler, period_s: float, sc: DelayChain | int, ca: DelayChain | int,
+    equalised: bool = False, saturates_n: float = math.inf,
+) -> Verdict:  # fmt: skip
     """Say what is proved of a wall that is felt through a network.
 
     Args:

@@ -54,14 +54,9 @@ class PumpReport:
 
 
 def pump(
-    fd: int,
-    sink: Sink,
-    channels: Mapping[str, Channel],
-    *,
-    taps: Mapping[str, PayloadWriter] | None = None,
-    stop: Callable[[], bool] = lambda: False,
-    report: PumpReport | None = None,
-) -> PumpReport:
+    fd: int, sink: Sink, channels: Mapping[str, Channel], *, taps: Mapping[str, PayloadWriter] | None = None,
+    stop: Callable[[], bool] = lambda: False, report: PumpReport | None = None,
+) -> PumpReport:  # fmt: skip
     """Carry records from the pipe to a sink until the writer is gone, however it went.
 
     Args:

@@ -30,15 +30,9 @@ All: TypeAlias = Callable[[Records], npt.NDArray[np.bool_]]
 
 
 def curve(
-    records: Records,
-    y: str | Callable[[Records], npt.NDArray[Any]],
-    *,
-    label: str,
-    style: LineStyle = "line",
-    where: All | None = None,
-    x: Callable[[Records], Float] = seconds,
-    **look: Any,
-) -> Series:
+    records: Records, y: str | Callable[[Records], npt.NDArray[Any]], *, label: str, style: LineStyle = "line",
+    where: All | None = None, x: Callable[[Records], Float] = seconds, **look: Any,
+) -> Series:  # fmt: skip
     """Return a curve over session time.
 
     Args:
