@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure as Sheet
 
+    from hil.thesis.checkpoint import KeptStages
+
 
 Array = NDArray[np.float64]
 SHOWN: Final = ("item", "printed", "computed", "rule", "verdict")
@@ -112,18 +114,6 @@ class Step(Struct, frozen=True, kw_only=True):
     seconds: float = 0.0
 
 
-class Checkpoint(Protocol):
-    """Stages that were done before."""
-
-    def get(self, chapter: str, stage: str, /) -> Part | None:
-        """What a stage found, if it was done."""
-        ...
-
-    def put(self, chapter: str, stage: str, part: Part, /) -> None:
-        """Keep what a stage found."""
-        ...
-
-
 Progress = Callable[[Step], None]
 
 
@@ -190,7 +180,7 @@ def _paint(plot: Plot, sheet: Sheet) -> None:
         axis.set_title(panel.title, fontsize="small")
 
 
-def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoint | None = None) -> Reproduction:
+def compute(chapter: Chapter, progress: Progress, name: str = "", kept: KeptStages | None = None) -> Reproduction:
     """Run every stage in order, but those that were kept.
 
     Args:
@@ -230,7 +220,7 @@ def chapters() -> tuple[str, ...]:
     return tuple(sorted(f"ch{name}" for name in names if name.isdigit()))
 
 
-def compute_chapter(chapter: str, progress: Progress = lambda step: None, kept: Checkpoint | None = None) -> Reproduction:
+def compute_chapter(chapter: str, progress: Progress = lambda step: None, kept: KeptStages | None = None) -> Reproduction:
     """Compute a chapter, but for the stages that were kept.
 
     Raises:
@@ -258,7 +248,7 @@ def reproduce(chapter: str) -> Reproduction:
     return compute_chapter(chapter)
 
 
-def seconds_left(chapter: str, kept: Checkpoint | None = None) -> float:
+def seconds_left(chapter: str, kept: KeptStages | None = None) -> float:
     """How long a chapter takes on two quiet cores, nominally, without the stages that were kept; s."""
     return sum(s.seconds for s in _asked(chapter).stages if kept is None or kept.get(chapter, s.title) is None)
 

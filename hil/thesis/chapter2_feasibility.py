@@ -194,8 +194,7 @@ def markov(report_progress: ReportProgress) -> dict[str, Any]:
 
 MARKOV = (
     statement(
-        "8.1: control improves on that by a Markov approximation",
-        "improved",
+        "8.1: control improves on that by a Markov approximation", "improved",
         *(
             above(f"decay rate of E|x|^2 (1/s), gain norm <= {bound:g}", f"semi[{n}]", f"markov[{n}]")
             for n, bound in enumerate(BOUNDS)

@@ -117,23 +117,20 @@ def partitions(report_progress: ReportProgress) -> dict[str, Any]:
 
 PARTITIONS = (
     statement(
-        "(3.35): eta(h) <= max of the upper rates",
-        "eta(h) <= max lambda_ij",
+        "(3.35): eta(h) <= max of the upper rates", "eta(h) <= max lambda_ij",
         below("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),
         witness=(above("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),),
         computed="eta(h) up to {eta:g}/s, the largest lambda_ij {largest:g}/s",
         basis="a row of (3.4) sums to 0, so that eta is a sum of rates; the conditions here have it so",
     ),
     statement(
-        "Lemma 3.1: a symmetric matrix that is negative definite at all corners of its entries is so between them",
-        "A < 0",
+        "Lemma 3.1: a symmetric matrix that is negative definite at all corners of its entries is so between them", "A < 0",
         below("largest eigenvalue inside", "boxes[all]", 0),
         basis=f"{BOXES} random boxes of {SIZE} x {SIZE} matrices, eigenvalues <= -0.01 at the corners, {INSIDE} points in each; "
         "with the corners 'all low' and 'all high' alone it would be {boxes[two]:+.2f}",
     ),
     statement(
-        "Lemma 3.2: so it is with blocks that move together, lambda_ij(h) P_i of (3.41), for the VTOL",
-        "A < 0",
+        "Lemma 3.2: so it is with blocks that move together, lambda_ij(h) P_i of (3.41), for the VTOL", "A < 0",
         below("largest eigenvalue of (3.41) at the corners of rates and eta", "corners", 0),
         below("the same inside", "inside", 0),
         computed="{corners:.3g} at the corners, {inside:.3g} inside",

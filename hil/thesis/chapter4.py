@@ -81,8 +81,7 @@ SENSOR_FAULT = (
         f"{GAIN_BOUND:g}, the controller sees r",
     ),
     statement(
-        "Remark 4.1: gains that know of the sensor fault attenuate better under it than gains that do not",
-        "-",
+        "Remark 4.1: gains that know of the sensor fault attenuate better under it than gains that do not", "-",
         below("gamma over that of gains for sound sensors", "ours.gamma", "unaware"),
         computed="gamma {ours.gamma:.4f} against {unaware:.4f} ({unaware_word})",
         basis="the same gain bound, rates and fault",
@@ -128,8 +127,7 @@ OTHER_FAULTS = (
         f"{GAIN_BOUND:g}, the controller sees r",
     ),
     statement(
-        "4.2: a Markov process may take the place of the detection in the design",
-        "could be implemented",
+        "4.2: a Markov process may take the place of the detection in the design", "could be implemented",
         says("its gains over the semi-Markov detection, (4.14), (4.23)", "over.verdict", "certified"),
         computed="{over.verdict}: gamma {over.gamma:.4g}, of gains that know the rates {known.gamma:.4g}",
         basis=f"constant rates of r with the same mean sojourns; gain norm <= {GAIN_BOUND:g}. Both gains are descents to near "
@@ -175,8 +173,7 @@ CONSTRAINTS = (
         basis=f"our gains that see r, gain norm <= {GAIN_BOUND:g}; refused: dual matrices prove that no matrices exist",
     ),
     statement(
-        "(4.6) with Gamma_12 != 0: gains that meet it exist",
-        "by tuning these matrices",
+        "(4.6) with Gamma_12 != 0: gains that meet it exist", "by tuning these matrices",
         says("(4.23) for the gains found", "general.verdict", "certified"),
         above("margin of its inequalities, computed anew", "margin", 0),
         computed="{general.verdict}, margin {margin:.3g}, gain norm {norm:.3g}",

@@ -161,8 +161,7 @@ ESTIMATED = (
         basis="H2, initial modes uniform over (d_k, d_k-1, d_k-2); only the sensor's packet can bring the controller a d",
     ),
     statement(
-        "motor: a controller that filters d_k and sends one command costs what its certificate says",
-        "-",
+        "motor: a controller that filters d_k and sends one command costs what its certificate says", "-",
         below("distance of the runs from the certificate (standard errors)", "off", ERRORS),
         exactly("H2 norm of the loop on the rig, information = previous", "ran", "motor[estimate]", 1e-6),
         below("distance of its squared error from the prediction (standard errors)", "apart", ERRORS),
@@ -210,8 +209,7 @@ def stays(report_progress: ReportProgress) -> dict[str, Any]:
 
 STAYS = (
     statement(
-        "8.2.1: gains that know how long d has lasted, over a semi-Markov delay",
-        "less conservative",
+        "8.2.1: gains that know how long d has lasted, over a semi-Markov delay", "less conservative",
         below("H2 norm with the stay of d over that without", "share", 1),
         below("second-moment radius with it", "radius", 1),
         exactly("H2 norm of the gains without it, by the loop that knows it", "again", "plain", 1e-9),
@@ -220,8 +218,7 @@ STAYS = (
         "{informed:.4f} against {plain:.4f}. `hil run dc-motor-ours-stays`: a packet has a row for every d and stay",
     ),
     statement(
-        "8.2.1: runs whose packets have a row for every d and how long it has lasted",
-        "-",
+        "8.2.1: runs whose packets have a row for every d and how long it has lasted", "-",
         below("distance of the runs from their prediction (standard errors)", "off", ERRORS),
         computed="squared error {sse_informed:.4g} rad^2 s with the stay, {sse_plain:.4g} without",
         basis=f"{BATCH_RUNS} runs of {STAYS_EXPERIMENT}, packet by packet, and as many with row_sojourns = 1",

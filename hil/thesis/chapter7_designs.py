@@ -286,8 +286,7 @@ UNCERTAIN = (
         "the nominal gains: {wide[verdict][nominal]}",
     ),
     statement(
-        f"(7.41): the guaranteed cost of such gains is less than that of the nominal ones, gain +-{NARROW} %",
-        "-",
+        f"(7.41): the guaranteed cost of such gains is less than that of the nominal ones, gain +-{NARROW} %", "-",
         below("guaranteed H2 norm over that of the nominal gains", "narrow[cost][ours]", "narrow[cost][nominal]"),
         above("certified uncertainty over that of the nominal gains", "narrow[ratio]", 1.05),
         computed="{narrow[cost][ours]:.4f} against {narrow[cost][nominal]:.4f}; they bear {narrow[ratio]:.2f} times as much",

@@ -195,8 +195,7 @@ def integral_action(report_progress: ReportProgress) -> dict[str, Any]:
 
 INTEGRAL = (
     statement(
-        "Remark 7.7: a dynamic controller enhances the steady-state tracking",
-        "to further enhance",
+        "Remark 7.7: a dynamic controller enhances the steady-state tracking", "to further enhance",
         above("fall of the mean |error| less 4 standard errors, rad,", "surely", 0),
         below("mean |error| with integral action, rad,", "mean[dynamic]", "half"),
         says("verdict on its loop", "verdict", "certified"),

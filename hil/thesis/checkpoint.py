@@ -24,7 +24,7 @@ from msgspec.msgpack import Decoder, encode
 import design
 import plants
 import transport
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.files import refuse_irregular
 from hil.thesis import Part
 
@@ -58,11 +58,9 @@ class KeptStages:
         self.path = path
         self.stages: dict[tuple[str, str], Part] = {}
         head = json.dumps({"format": FORMAT, "code": digest_of_code()}).encode() + b"\n"
-        try:
+        with located(f"{path}: cannot be used for the state", OSError):
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
             self._file = open(os.open(path, flags, 0o666), "r+b", buffering=0)  # noqa: SIM115 (kept open, for the lock)
-        except OSError as error:
-            raise HilError(f"{path}: cannot be used for the state: {error.strerror or error}") from error
         try:
             refuse_irregular(path, os.fstat(self._file.fileno()).st_mode, "the state of a reproduction")
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -98,11 +96,9 @@ class KeptStages:
         self._file.truncate(whole)
 
     def _write(self, line: bytes) -> None:
-        try:
+        with located(f"{self.path}: cannot be written", OSError):
             while line:  # the last bytes of a disk take a part of it, and no error
                 line = line[self._file.write(line) :]
-        except OSError as error:
-            raise HilError(f"{self.path}: cannot be written: {error.strerror or error}") from error
 
     def get(self, chapter: str, stage: str) -> Part | None:
         """What a stage found, if it was done."""
