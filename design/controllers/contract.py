@@ -91,7 +91,6 @@ class RunningController(Protocol):
 
         Where the parameters say ``samples = 2``, y holds y(k - tau), then y(k - tau - 1).
         """
-        ...
 
 
 class Sample(NamedTuple):
@@ -150,7 +149,6 @@ class MultiSampleController(Protocol):
 
     def rows(self, k: int, known: Known) -> Rows:
         """Return one row of m inputs per row index; called once a slot, in order, once a sample is known."""
-        ...
 
 
 @runtime_checkable
@@ -163,7 +161,6 @@ class Controller(Protocol):
         Raises:
             FieldError: parameters that do not fit the loop.
         """
-        ...
 
 
 @runtime_checkable
@@ -176,7 +173,6 @@ class GainTable(Protocol):
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         """Return K[tau, row, m, p]."""
-        ...
 
 
 @runtime_checkable
@@ -187,7 +183,6 @@ class ModeSchedule(Protocol):
 
     def schedule_of_modes(self) -> ScheduledGain:
         """Return K(mode, h); the controller counts h from the sample that showed the mode first."""
-        ...
 
 
 @runtime_checkable
@@ -196,7 +191,6 @@ class StatesConstraint(Protocol):
 
     def constraint_of_modes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
         """Return Gamma_11 (p, p), Gamma_12 (p, q) and Gamma_22 (q, q); None without one."""
-        ...
 
 
 @runtime_checkable
@@ -209,7 +203,6 @@ class HistoryGains(Protocol):
 
     def history(self) -> NDArray[np.float64]:
         """Return K[phase, j, m, p]; a phase is a turn of the cycle, or the node whose packet has just come."""
-        ...
 
 
 @runtime_checkable

@@ -50,7 +50,6 @@ class LinearFeedback(Protocol):
 
     def linear_law(self, model: LoopModel) -> LinearLaw:
         """Return its matrices; every packet has one row, whatever its delay."""
-        ...
 
 
 @runtime_checkable
@@ -61,7 +60,6 @@ class AgedFeedback(Protocol):
 
     def laws_of_ages(self, model: LoopModel, ages: int) -> tuple[RowsLaw, ...]:
         """Return the matrices for samples of the age 0, 1, ..., ages - 1: those that run while no sample is older."""
-        ...
 
 
 class AgedRows(Struct, frozen=True, kw_only=True):

@@ -117,8 +117,6 @@ class LinearInContact(Protocol):
     @property
     def order(self) -> int:
         """Number of its states."""
-        ...
 
     def linear(self, state: Array, place: float, material: int) -> tuple[float, Array]:
         """Return the force and the next state, for a state, the delayed place, and a material."""
-        ...

@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, Selection
 from design.controllers.exact_products import dot, product
-from design.controllers.rendered_wall import Coupler
+from design.controllers.rendered_wall import Array, Coupler
 from design.controllers.wall import Contact, Wall
 from design.errors import FieldError
 
@@ -148,7 +147,6 @@ class VirtualWallRun:
         return self._material
 
 
-Array = NDArray[np.float64]
 Matrix = tuple[tuple[float, ...], ...]
 
 

@@ -22,16 +22,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.monte_carlo import JUMPS, PARAMETERS, DrawTable, FloatArray, uniforms
 from design.processes.elementary import log, product
-from design.processes.semi_markov import SemiMarkov
+from design.processes.semi_markov import IntArray, SemiMarkov
 from design.semi_markov_loop import JumpSystem, NormBounded, VertexUncertainty
 
-IntArray = npt.NDArray[np.intp]
 PARAMETER_PAGE = 4
 PAGE = 16
 """Counter values per page of jump draws: 32 jumps."""

@@ -19,16 +19,13 @@ from functools import partial
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain, tabulated
 from design.errors import FieldError
 from design.lmi import Lift, as_float
-from design.lmi.program import Inequality, LmiProgram, add_schur_rows, symmetric_blocks
+from design.lmi.program import Array, Inequality, LmiProgram, add_schur_rows, symmetric_blocks
 from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,15 +20,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
-from design.processes.semi_markov import SemiMarkov
+from design.processes.semi_markov import IntArray, SemiMarkov
 from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.period_moments import Box, PeriodMoments, TooLarge, congruence, period_moments, svec_size
 
-IntArray = npt.NDArray[np.intp]
 BINS = 64
 CELLS = 100_000
 """Most periods for which one sojourn is followed before its rates are taken anywhere within their bounds."""

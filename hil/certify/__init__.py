@@ -121,7 +121,6 @@ class Certifier(Protocol):
 
     def __call__(self, loop: CertificationProblem) -> Verdict | None:
         """Return the verdict on a loop, None if loops of this kind are another certifier's."""
-        ...
 
 
 def table_of(loop: CertificationProblem, controller: GainTable) -> NDArray[np.float64]:

@@ -75,11 +75,9 @@ class Measure(Protocol):
 
     def quantities(self, signals: Signals) -> Sequence[Quantity]:
         """Return what it measures over these signals, in the order of a table."""
-        ...
 
     def of(self, view: RunView) -> Mapping[str, float | None]:
         """Return its numbers for one run, by name; None where one is not defined. Finite, whatever the run holds."""
-        ...
 
 
 def measures_of(experiment: Experiment | None) -> tuple[Measure, ...]:

@@ -57,7 +57,6 @@ class BatchMeasure(Protocol):
 
     def of_batch(self, view: BatchView) -> Mapping[str, Array]:
         """Return its numbers by name, (runs,) each, NaN where `Measure.of` says None; bit for bit those of `Measure.of`."""
-        ...
 
 
 class RunningPlants(Protocol):
@@ -66,15 +65,12 @@ class RunningPlants(Protocol):
     @property
     def state(self) -> Array:
         """States now, (n, runs); a new array after every `advance`."""
-        ...
 
     def advance(self, dt_ns: int, u: Array, w: Sequence[float]) -> None:
         """Hold the inputs u (m, runs) and the disturbance w (m,), the same in all runs, for dt_ns."""
-        ...
 
     def measure(self) -> Array:
         """Return the outputs now, (p, runs); measuring changes nothing."""
-        ...
 
 
 @runtime_checkable
@@ -83,7 +79,6 @@ class BatchPlant(Protocol):
 
     def start_batch(self, runs: int) -> RunningPlants | None:
         """Return a batch of `runs` plants at time 0; None if that is not possible with these parameters."""
-        ...
 
 
 class RunningControllers(Protocol):
@@ -95,11 +90,9 @@ class RunningControllers(Protocol):
     @property
     def memory(self) -> int | None:
         """Age of the oldest sample that it takes, slots, asked in every slot; None where the newest samples are enough."""
-        ...
 
     def rows(self, k: int, known: KnownInBatch) -> Array:
         """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing."""
-        ...
 
 
 @runtime_checkable
@@ -108,7 +101,6 @@ class BatchController(Protocol):
 
     def start_batch(self, model: LoopModel, runs: int) -> RunningControllers | None:
         """Return a batch of `runs` controllers, ready for slot 0; None if that is not possible with these parameters."""
-        ...
 
 
 @runtime_checkable
@@ -117,7 +109,6 @@ class BatchAges(Protocol):
 
     def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> npt.NDArray[np.int32]:
         """Return the ages that `start(rng)` draws slot by slot, (slots, runs), one stream per run."""
-        ...
 
 
 @runtime_checkable
@@ -134,4 +125,3 @@ class NewestOfMany(Protocol):
             runs, slots: how many.
             period_s, deadline_s: as `PerPacketLaw.start` takes them.
         """
-        ...

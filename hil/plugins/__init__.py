@@ -136,11 +136,9 @@ class Watch(Protocol):
 
     def begin(self, module: str) -> None:
         """Watch from here: the first line of a module, named by its file, is next."""
-        ...
 
     def stopping(self) -> None:
         """A signal was heeded: what ends now ends in order, and closes its log."""
-        ...
 
 
 class _Unwatched:

@@ -53,7 +53,6 @@ class GivesGains(Protocol):
     @property
     def gains_given(self) -> bool:
         """Whether nothing is solved."""
-        ...
 
     def solve(self, task: DesignTask) -> NamedController: ...
 
@@ -66,11 +65,9 @@ class GainsOnFile(Protocol):
 
     def unfit(self, task: DesignTask) -> str:
         """Return in what the problem of the file differs from that of the loop; empty where it does not."""
-        ...
 
     def solve_again(self, task: DesignTask) -> NamedController:
         """Return gains that solve what the file asks for, for the loop."""
-        ...
 
 
 @runtime_checkable
@@ -87,7 +84,6 @@ class Designer(Protocol):
             ValueError: a field that does not fit the loop; best one that `FieldFault`.
             DesignError: no gains meet the request; the message has the number that decides it.
         """
-        ...
 
 
 def needs(plugin: object, what: str, names: Mapping[str, str]) -> None:

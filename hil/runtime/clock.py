@@ -16,7 +16,6 @@ class Clock(Protocol):
 
     def wait_until(self, t_ns: int) -> None:
         """Return when session time is at least ``t_ns`` (or a signal arrived)."""
-        ...
 
 
 class PacedClock:

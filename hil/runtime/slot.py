@@ -21,7 +21,6 @@ class Exchange(Protocol):
             t_ns: nominal time of the slot, ns.
             frames: sensor frames, in order; the last one closes the slot.
         """
-        ...
 
     def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Hand over what comes back, until one frame answers the slot or no more may come.
@@ -30,7 +29,6 @@ class Exchange(Protocol):
             t_ns: nominal time of the slot, ns.
             on_frame: takes one frame.
         """
-        ...
 
 
 class Slot:

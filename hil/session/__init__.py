@@ -185,11 +185,9 @@ class Onlooker(Protocol):
     @property
     def clock(self) -> Clock | None:
         """The clock of the run; None for one that does not wait."""
-        ...
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
         """Take the loop that will run, and the channels of its log; return the receivers of its records, by topic."""
-        ...
 
     @property
     def changes(self) -> Changes | None:
@@ -197,11 +195,9 @@ class Onlooker(Protocol):
 
         None for a run that takes no changes.
         """
-        ...
 
     def end(self) -> None:
         """Stop waiting, as the run is to end. A signal handler may call it."""
-        ...
 
 
 def run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink, onlooker: Onlooker | None) -> dict[str, Any]:

@@ -61,7 +61,6 @@ class ReportProgress(Protocol):
 
     def __call__(self, text: str, done: int = 0, total: int = 0, /) -> None:
         """Report it; costs nothing."""
-        ...
 
 
 class Stage(Struct, frozen=True):

@@ -18,11 +18,9 @@ class PlantRun(Protocol):
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
         """Hold u + w for dt_ns."""
-        ...
 
     def measure(self) -> Sequence[float]:
         """Return the outputs now; measuring changes nothing."""
-        ...
 
     @property
     def state(self) -> tuple[float, ...]: ...
@@ -46,11 +44,9 @@ class Plant(Protocol):
 
     def model(self) -> StateSpace | DiscreteStateSpace:
         """Return the linear model that a designer sees."""
-        ...
 
     def start(self, rng: np.random.Generator) -> PlantRun:
         """Return the plant at time 0; all randomness comes from ``rng``."""
-        ...
 
 
 @runtime_checkable
@@ -59,11 +55,9 @@ class JumpPlant(Plant, Protocol):
 
     def jump_system(self) -> JumpModel:
         """Return the matrices of every mode, as they run."""
-        ...
 
     def jump_process(self) -> JumpRates:
         """Return the rates of the modes, as they run."""
-        ...
 
 
 @runtime_checkable
@@ -72,7 +66,6 @@ class BeyondModel(Protocol):
 
     def beyond_model(self) -> tuple[str, ...]:
         """Return what it has beyond its model, each a noun phrase; empty: the model is the plant."""
-        ...
 
 
 @runtime_checkable
@@ -81,7 +74,6 @@ class MovesOtherwise(Protocol):
 
     def motion(self) -> StateSpace | DiscreteStateSpace:
         """Return the linear model by which it moves, in the states, inputs and outputs of `model`."""
-        ...
 
 
 class Departure(NamedTuple):
@@ -109,7 +101,6 @@ class HasDepartures(Protocol):
 
     def departures(self) -> tuple[Departure, ...]:
         """Return them, each by the name that `beyond_model` gives it; states are those of the model."""
-        ...
 
 
 class PassiveElement(NamedTuple):
@@ -131,7 +122,6 @@ class HasPassiveElements(Protocol):
 
     def passive_elements(self) -> tuple[PassiveElement, ...]:
         """Return them, each by the name that `beyond_model` gives it."""
-        ...
 
 
 @runtime_checkable
@@ -140,7 +130,6 @@ class HasOwnInputs(Protocol):
 
     def own_inputs(self) -> tuple[str, ...]:
         """Return what pushes it, each a noun phrase; of bounded size (noise: of bounded variance), and no state of its own."""
-        ...
 
 
 @runtime_checkable
@@ -149,7 +138,6 @@ class HasStateDelays(Protocol):
 
     def state_delays(self) -> Matrix:
         """Return A_1, ..., A_tau, (tau, n, n)."""
-        ...
 
 
 @runtime_checkable
@@ -158,7 +146,6 @@ class HasCost(Protocol):
 
     def cost_weights(self) -> tuple[Matrix, Matrix]:
         """Return Xi, (n, n), and Xi_u, (m, m)."""
-        ...
 
 
 @runtime_checkable
@@ -167,7 +154,6 @@ class HasStateHistory(Protocol):
 
     def state_history(self) -> Matrix:
         """Return x(-1), ..., x(-h), (h, n)."""
-        ...
 
 
 @runtime_checkable
@@ -176,7 +162,6 @@ class HasSensorNoise(Protocol):
 
     def sensor_noise(self) -> Matrix:
         """Return the standard deviations, (p,)."""
-        ...
 
 
 @runtime_checkable
@@ -185,11 +170,9 @@ class GoesOn(Protocol):
 
     def may_change(self) -> tuple[str, ...]:
         """Return the fields that may be other ones then, such as ``friction``."""
-        ...
 
     def own_way(self) -> tuple[str, ...]:
         """Return those of them that only lead it from within, as `HasOwnInputs` says: no equation depends on them."""
-        ...
 
     def go_on(self, run: PlantRun) -> PlantRun:
         """Return it in the state and at the instant of another run, whose random numbers go on.
@@ -197,7 +180,6 @@ class GoesOn(Protocol):
         Raises:
             PlantError: the other run is of another class.
         """
-        ...
 
 
 @runtime_checkable
@@ -210,4 +192,3 @@ class ReferencesFiles(Protocol):
         Raises:
             PlantError: a file is missing or faulty.
         """
-        ...

@@ -44,7 +44,6 @@ class PacksRecords(Protocol):
 
     def records(self, topics: Sequence[str]) -> Record | None:
         """Function that takes the fields of one record of each topic, in order; None if it does not take all."""
-        ...
 
 
 @runtime_checkable
@@ -53,11 +52,9 @@ class Dated(Protocol):
 
     def begin(self, wall_ns: int) -> None:
         """Say when session time 0 was, in ns since 1970; once, before the first record."""
-        ...
 
     def behind(self, ns: int) -> None:
         """Say how much after its nominal time happened what is recorded next, ns."""
-        ...
 
 
 def record_to(sink: Sink, channel: Channel) -> Record | None:

@@ -50,7 +50,6 @@ class DrawsSection(Protocol):
 
     def section(self, view: RunView) -> Section | None:
         """Return what it shows of a run, a `hil.pages.Section`; None where it has nothing to show."""
-        ...
 
 
 def drawing_plug_ins(view: RunView) -> tuple[DrawsSection, ...]:
