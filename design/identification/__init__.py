@@ -113,6 +113,8 @@ def _summed(steps: Array) -> Array:
 
 
 LEAST_SAMPLES = 20
+LARGEST = 1e30
+"""Of what a record holds; a fit computes squares of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,7 +127,7 @@ class Record:
         period_s: T in s.
 
     Raises:
-        DesignError: the lengths differ, there are too few samples, or an input is missing.
+        DesignError: the lengths differ, there are too few samples, an input is missing, or numbers leave what a fit computes.
     """
 
     u: Array
@@ -134,14 +136,16 @@ class Record:
 
     def __post_init__(self) -> None:
         u, y = np.array(self.u, dtype=np.float64), np.array(self.y, dtype=np.float64)
-        if not (math.isfinite(self.period_s) and self.period_s > 0.0):
-            raise DesignError(f"period_s: {self.period_s!r}, expected a finite number above 0")
+        if not 1.0 / LARGEST <= self.period_s <= LARGEST:
+            raise DesignError(f"period_s: {self.period_s!r}, expected a number above 0, {1.0 / LARGEST:g} to {LARGEST:g}")
         if u.ndim != 1 or u.shape != y.shape:
             raise DesignError(f"record: inputs of shape {u.shape} and outputs of shape {y.shape}, expected two equal lengths")
         if not np.isfinite(u).all():
             raise DesignError(f"record: input {int(np.flatnonzero(~np.isfinite(u))[0])} is missing; a fit needs every input")
-        if np.isinf(y).any():
-            raise DesignError(f"record: output {int(np.flatnonzero(np.isinf(y))[0])} is infinite")
+        for name, values in (("input", u), ("output", y)):
+            size = float(np.max(np.abs(values), where=~np.isnan(values), initial=0.0))
+            if size and not 1.0 / LARGEST <= size <= LARGEST:
+                raise DesignError(f"record: the largest {name} is {size:g}, expected {1.0 / LARGEST:g} to {LARGEST:g}")
         if int(np.isfinite(y).sum()) < LEAST_SAMPLES:
             raise DesignError(f"record: {int(np.isfinite(y).sum())} outputs, expected at least {LEAST_SAMPLES}")
         object.__setattr__(self, "u", u)

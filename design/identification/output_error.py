@@ -283,7 +283,10 @@ def _start(records: Sequence[Record], plain: tuple[float, float] | None) -> tupl
     cutoffs = np.geomspace(20.0 / length_s, 0.4 / period_s, CUTOFFS)
     found = [state_variable_filter(records, float(c)) for c in cutoffs]
     starts = [s for s in (*found, plain) if s is not None] or [(1.0, 1.0)]
-    return min(starts, key=lambda s: _cost(records, s[1]))
+    best = min(starts, key=lambda s: _cost(records, s[1]))
+    if not math.isfinite(_cost(records, best[1])):
+        raise DesignError("output: does not follow the input as that of an axis; are its columns and its period right?")
+    return best
 
 
 def _cost(records: Sequence[Record], pole: float) -> float:

@@ -203,7 +203,10 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
             separator = ";" if ";" in first and "," not in first else ","
             rows = csv.reader(chain([first], text), delimiter=separator, strict=True)
             header = [name.split("[")[0].strip() for name in next(rows, [])]
-            at = [header.index(name) for name in picked(header)]
+            wanted = picked(header)
+            if twice := next((name for name in wanted if header.count(name) > 1), ""):
+                raise HilError(f"{path}: two columns are called {twice!r}, expected one")
+            at = [header.index(name) for name in wanted]
             empty: array[int] = array("q")
             for row in rows:
                 if not row:

@@ -46,6 +46,9 @@ LESS: Final = 0.5
 MOST_TAKEN: Final = 1000
 """Frames that the other end takes between two that are played: a link of one's own may never be empty."""
 
+LONGEST_GAP_S: Final = 3600.0
+"""Of a session, between two frames; a log with a longer one would be played for years, in silence."""
+
 MOST_TOLD: Final = 20
 """Differences that are kept, at most."""
 
@@ -188,7 +191,11 @@ class Playback:
 
 
 def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None]) -> Playback:
-    """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
+    """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``.
+
+    Raises:
+        HilError: the log has no frames, or one stands more than `LONGEST_GAP_S` behind the one before it.
+    """
     count = sum(len(run.numbers(topic)) for topic in FRAME_TOPICS)
     ways = [_of_role(run, topic, role) for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True)]
     schedule = heapq.merge(*ways, key=itemgetter(0))
@@ -201,7 +208,11 @@ def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None])
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)
         found: list[float] = []
+        before_ns = begin[0]
         for i, (t_ns, role, data) in enumerate(chain([begin], schedule)):
+            if (gap_s := (t_ns - before_ns) / 1e9) > LONGEST_GAP_S:
+                raise HilError(f"frame {i} is {gap_s:g} s behind the one before it, at most {LONGEST_GAP_S:g} s are played")
+            before_ns = t_ns
             at = round((t_ns - begin[0]) / speed)
             clock.wait_until(at)
             found.append((clock.now() - at) / 1e3)

@@ -134,6 +134,8 @@ def test_an_axis_that_does_not_follow_is_refused():
         with pytest.raises(DesignError, match=r"does not follow|does not move|does not separate"):
             identify_axis([Record(u=u, y=y, period_s=0.05)])
     record = square_records(period_s=0.05, slots=440, noise_sd=NOISE, seed=8)[0]
+    with pytest.raises(DesignError, match="does not follow the input as that of an axis"):  # exp(p t) of every start overflows
+        identify_axis([Record(u=record.u, y=(-1.0) ** np.arange(record.u.size), period_s=0.05)])
     with pytest.raises(DesignError, match="does not follow"):
         identify_axis([Record(u=-record.u, y=record.y, period_s=0.05)])
     with pytest.raises(DesignError, match="sample periods"):

@@ -150,6 +150,13 @@ def test_empty_lines_take_no_memory(tmp_path: Path) -> None:
     assert found.values.tolist() == [[1.0, 2.0], [3.0, 4.0]] and found.lines.tolist() == [2, 100_003]
 
 
+def test_of_two_columns_of_one_name_none_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("a,b,b [V],c,c\n1,2,3,4,5\n")
+    assert read_columns(tmp_path / "a.csv", "a table", lambda header: ["a"]).values.tolist() == [[1.0]]
+    with pytest.raises(HilError, match=r"a\.csv: two columns are called 'b', expected one"):
+        read_columns(tmp_path / "a.csv", "a table", lambda header: ["a", "b"])
+
+
 def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
     wrong = {"plant": {"kind": "state-space", "A": {"file": "cart.npz", "key": "Q"}, "B": {"fil": 1}, "C": [[1.0]]}}
     with pytest.raises(HilError, match=r"plant\.A: .*: has no key 'Q'; it has 'A', 'B', 'flag'\n.*plant\.B: expected numb"):

@@ -159,6 +159,15 @@ def test_frames_go_onto_a_link_in_their_order_and_at_their_spacing(speed: float,
     assert played.frames == len(frames) and played.error_us["max"] == 0.0
 
 
+def test_a_log_with_a_gap_of_years_is_not_played_for_years() -> None:
+    run = simulate_as_logged(compose(load_experiment("dc-motor-hinf", ["duration=0.1"])), 0)
+    control = run.arrays[CONTROL.name].copy()
+    control["t_ns"][-1] += 10**18
+    late = replace(run, arrays={**run.arrays, CONTROL.name: control})
+    with pytest.raises(HilError, match=r"frame 3 is 1e\+09 s behind the one before it, at most 3600 s are played"):
+        over_link.onto(late, "can:hil:replaygap", 100.0, lambda done, of: None)
+
+
 def test_frames_are_played_onto_a_link_that_is_never_empty(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a link of one's own returns is taken a thousand times between two frames, and then the next one is played."""
     run = simulate_as_logged(compose(load_experiment("dc-motor-hinf", ["duration=0.1"])), 0)
