@@ -14,7 +14,7 @@ from scipy import optimize, special
 
 from transport.law_fit.latency_families import bic
 from transport.law_fit.packet_record import Ages, Array
-from transport.law_fit.proportions import Interval, wilson
+from transport.law_fit.proportions import Interval, interval_of
 
 MOST_AGES = 40
 STRONG = 6.0
@@ -91,7 +91,7 @@ def _markov(inner: NDArray[np.int64], counts: NDArray[np.int64], kinds: Ages) ->
     reached = np.cumsum(rows, axis=1)
     now, then = inner[:-1], inner[1:]
     intervals = {
-        f"matrix[{i}][{j}]": wilson(float(counts[i, j]), float(totals[i])) for i in range(len(kinds)) for j in range(len(kinds))
+        f"matrix[{i}][{j}]": interval_of(float(counts[i, j]), float(totals[i])) for i in range(len(kinds)) for j in range(len(kinds))
     }
     return AgeFit(
         kind="markov", spec=_spec("markov", rows, kinds), log_likelihood=float((counts * logarithms).sum()), counts=counts,
@@ -122,7 +122,7 @@ def _semi_markov(inner: NDArray[np.int64], starts: NDArray[np.int64], counts: ND
         before = np.concatenate([[1.0], after[:-1]])[:longest]
         hazards.append(1.0 - np.clip(after[:longest] / np.maximum(before, 1e-300), 0.0, 1.0))
         intervals |= {
-            f"matrix[{mode}][{j}]": wilson(float(jumps[mode, j]), float(leaving[mode])) for j in range(size) if j != mode
+            f"matrix[{mode}][{j}]": interval_of(float(jumps[mode, j]), float(leaving[mode])) for j in range(size) if j != mode
         }
     spent = np.arange(len(inner)) - np.repeat(starts, np.append(lengths, 1))
     now, then = inner[:-1], inner[1:]

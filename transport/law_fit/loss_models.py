@@ -17,7 +17,7 @@ from scipy import stats
 from transport.law_fit.latency_families import bic
 from transport.law_fit.packet_record import Array
 from transport.law_fit.profile_intervals import angles_of, minimum, profile_intervals, values_of
-from transport.law_fit.proportions import Interval, wilson
+from transport.law_fit.proportions import Interval, interval_of
 
 Lost = NDArray[np.bool_]
 
@@ -72,13 +72,13 @@ def fit_loss(lost: Lost, *, whole: bool) -> list[LossFit]:
     """
     n, losses = len(lost), int(lost.sum())
     if not losses:
-        none = {"loss": wilson(0, n)}
+        none = {"loss": interval_of(0, n)}
         return [
             LossFit(kind="none", values={"loss": 0.0}, intervals=none, log_likelihood=0.0, parameters=0, predicted=np.zeros(n))
         ]
     p = losses / n
     found = [LossFit(
-        kind="independent", values={"loss": p}, intervals={"loss": wilson(losses, n)}, parameters=1, predicted=np.full(n, p),
+        kind="independent", values={"loss": p}, intervals={"loss": interval_of(losses, n)}, parameters=1, predicted=np.full(n, p),
         log_likelihood=losses * np.log(p) + (n - losses) * np.log1p(-p) if p < 1.0 else 0.0,
     )]  # fmt: skip
     if whole and losses >= FEWEST_LOSSES and _in_bursts(lost):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import optimize, stats
 
 from tests.transport.law_fit.synthetic_laws import LAWS, record_of
 from transport.errors import FieldError, NotKnown
@@ -22,7 +22,7 @@ from transport.law_fit.age_models import fit_ages
 from transport.law_fit.loss_models import ALL, _channel, _likelihood_of, fit_loss
 from transport.law_fit.packet_record import PacketRecord
 from transport.law_fit.profile_intervals import angles_of, critical, minimum, profile_intervals, values_of
-from transport.law_fit.proportions import arrivals, clopper_pearson, confidence_region, wilson
+from transport.law_fit.proportions import arrivals, clopper_pearson, confidence_region, interval_of
 from transport.laws.age import MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.stochastic_matrix import chain_ages
@@ -31,14 +31,14 @@ T, DEADLINE = 0.010, 0.006
 RUNS, LOW, HIGH = 2000, 0.93, 0.97
 
 
-def test_wilsons_interval_of_arrivals_covers_in_93_to_97_percent() -> None:
-    """h_0 of a gamma latency with loss, from 10^4 packets in each of 2000 records."""
-    law = PacketLaw(latency={"dist": "gamma", "a": 2.0, "scale": "4 ms"}, loss=0.05)
-    chain = law.age_chain(T, DEADLINE)
-    truth = float(chain.matrix[0, 0])
-    counts = np.random.default_rng(0).binomial(10_000, truth, RUNS)
-    covered = np.mean([low <= truth <= high for low, high in (wilson(c, 10_000) for c in counts.tolist())])
-    assert LOW <= covered <= HIGH
+@pytest.mark.parametrize("n", [299, 4000])
+def test_the_interval_of_a_counted_probability_holds_whatever_it_is(n: int) -> None:
+    """Exactly, by the binomial law; Wilson's holds in 84 % where one of n is expected in six records."""
+    counts = np.arange(80)
+    low, high = np.array([interval_of(float(count), n) for count in counts]).T
+    for p in np.geomspace(0.02, 20.0, 60) / n:
+        assert stats.binom.pmf(counts, n, p)[(low <= p) & (p <= high)].sum() > 0.95 - 1e-9, p
+    assert interval_of(0, 0) == (0.0, 1.0)
 
 
 def channel_losses(channel: GilbertElliott, n: int, seed: int) -> NDArray[np.bool_]:
@@ -210,7 +210,7 @@ def test_more_packets_make_the_region_narrower_and_it_keeps_what_was_seen() -> N
     counted = arrivals(fit)
     assert counted.risk[0] == 2000
     assert counted.risk[1] == 2000 - counted.came[0]
-    assert counted.shares()[0] == (counted.came[0] / 2000, wilson(counted.came[0], 2000))
+    assert counted.shares()[0] == (counted.came[0] / 2000, interval_of(counted.came[0], 2000))
 
 
 def test_what_cannot_be_counted_has_no_region() -> None:
@@ -220,15 +220,15 @@ def test_what_cannot_be_counted_has_no_region() -> None:
     assert fit.law_class == "gilbert-elliott"
     with pytest.raises(NotKnown, match="mode"):
         confidence_region(fit, 1)
-    assert arrivals(fit).shares() == [(float(1.0 - lost.mean()), None)]  # Wilson's would cover in 63 %
+    assert arrivals(fit).shares() == [(float(1.0 - lost.mean()), None)]  # that of independent packets would cover in about 63 %
 
 
 def test_losses_by_chance_are_one_proportion_and_no_loss_is_none() -> None:
     lost = np.random.default_rng(0).random(1000) < 0.1
     (fit,) = fit_loss(lost, whole=False)
-    assert (fit.kind, fit.spec(), fit.intervals) == ("independent", lost.mean(), {"loss": wilson(int(lost.sum()), 1000)})
+    assert (fit.kind, fit.spec(), fit.intervals) == ("independent", lost.mean(), {"loss": interval_of(int(lost.sum()), 1000)})
     (none,) = fit_loss(np.zeros(1000, dtype=bool), whole=True)
-    assert (none.kind, none.spec(), none.intervals) == ("none", 0.0, {"loss": wilson(0, 1000)})
+    assert (none.kind, none.spec(), none.intervals) == ("none", 0.0, {"loss": interval_of(0, 1000)})
     assert none.log_likelihood == none.parameters == 0 and not none.predicted.any()
 
 
