@@ -14,6 +14,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from design.jump_linear import MJLS, STABILITY_MARGIN
+from design.jump_linear.order_of_modes import parts
 from design.jump_linear.second_moment import EIG_DENSE_LIMIT, Array, backward, cost_once, expect, like_units, mean_square_radius
 from design.jump_linear.stability_proof import BUDGET, OPEN, side_of_one
 from design.verdict import State
@@ -194,13 +195,18 @@ def grows(A: Array, transition: Array, radius: float) -> bool:
 
     .. math:: P_i - s^{-1} A_i' \textstyle\sum_j p_{ij} P_j A_i > 0, \qquad P \not\ge 0
 
-    proves that the radius is at least s, as in `design.jump_linear.stability_proof`, which decides for the largest systems.
+    proves that the radius is at least s, as in `design.jump_linear.stability_proof`, which decides for the largest systems. Of
+    modes that do not lead to each other one class that grows is enough.
 
     Args:
         A: (N, n, n) mode matrices.
         transition: (N, N) transition probabilities, or lower bounds of them.
         radius: as it was computed.
     """
+    return any(_grows(*each, radius) for each in parts(A, transition))
+
+
+def _grows(A: Array, transition: Array, radius: float) -> bool:
     if len(A) > 1 and A.shape[0] * A.shape[1] * (A.shape[1] + 1) // 2 > EIG_DENSE_LIMIT:
         return side_of_one(A, transition, near=False).stable is False
     for share in (0.5, 0.1, 0.9):

@@ -6,7 +6,8 @@ With the modes in d classes, each followed by the next, the operator L carries f
     rho(L)^d = rho(L^d on the families of one class)
 
 which has 1/d of the unknowns, and no d eigenvalues of equal size on a circle, which a Krylov method cannot tell apart. So has
-the cost to go of one class; those of the others follow from it.
+the cost to go of one class; those of the others follow from it. Modes that do not lead to each other, as two cycles side by side
+in each of their phases, are taken apart first: the radius is the largest of theirs.
 
 In any order: how fast a system grows at most, where no probabilities are known,
 
@@ -96,8 +97,25 @@ def cyclic_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
     return [np.flatnonzero(level % period == c) for c in range(period)]
 
 
+def parts(A: Array, transition: Array) -> list[tuple[Array, Array]]:
+    """Return the matrices and transitions of every class of modes that lead to each other; a small system is taken whole.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) transition probabilities.
+    """
+    if len(A) * A.shape[-1] * (A.shape[-1] + 1) // 2 <= EIG_DENSE_LIMIT:
+        return [(A, transition)]
+    from scipy.sparse.csgraph import connected_components  # larger systems load scipy.sparse anyway
+
+    count, of = connected_components(transition > 0.0, connection="strong")
+    own = [np.flatnonzero(of == each) for each in range(count)]
+    inner = [(A[each], transition[np.ix_(each, each)]) for each in own] if count > 1 else [(A, transition)]
+    return [(matrices, chances) for matrices, chances in inner if chances.any()]
+
+
 def periodic_radius(A: Array, transition: Array, *, bounded: bool = True) -> float:
-    """Return what `mean_square_radius` does, sooner where the chain is periodic.
+    """Return what `mean_square_radius` does, sooner where the chain is periodic, or falls into parts.
 
     A cycle without chance takes the eigenvalues of its product of matrices, and no second moments.
 
@@ -106,6 +124,11 @@ def periodic_radius(A: Array, transition: Array, *, bounded: bool = True) -> flo
         transition: (N, N) row-stochastic matrix.
         bounded: as of `mean_square_radius`.
     """
+    found = [_radius(*each, bounded) for each in parts(A, transition)]
+    return max(found, key=lambda radius: (radius >= 1.0, radius != radius, radius), default=0.0)  # unknown, unless one decides
+
+
+def _radius(A: Array, transition: Array, bounded: bool) -> float:
     n = A.shape[-1]
     classes = cyclic_classes(transition)
     first, size = classes[0], len(classes[0]) * n * (n + 1) // 2

@@ -90,9 +90,7 @@ def _markov(inner: NDArray[np.int64], counts: NDArray[np.int64], kinds: Ages) ->
         logarithms = np.where(counts > 0, np.log(np.maximum(rows, 1e-300)), 0.0)
     reached = np.cumsum(rows, axis=1)
     now, then = inner[:-1], inner[1:]
-    intervals = {
-        f"matrix[{i}][{j}]": interval_of(float(counts[i, j]), float(totals[i])) for i in range(len(kinds)) for j in range(len(kinds))
-    }
+    intervals = {f"matrix[{i}][{j}]": interval_of(float(counts[i, j]), float(totals[i])) for i, j in np.ndindex(counts.shape)}
     return AgeFit(
         kind="markov", spec=_spec("markov", rows, kinds), log_likelihood=float((counts * logarithms).sum()), counts=counts,
         ages=kinds, parameters=int((counts > 0).sum() - len(kinds)), slots=len(now), low=reached[now, then] - rows[now, then],

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
-from design.jump_linear import order_of_modes
-from design.jump_linear.order_of_modes import cyclic_classes, growth_in_every_order, periodic_cost, periodic_radius
-from design.jump_linear.second_moment import backward, mean_square_radius
+from design.jump_linear import certificate, order_of_modes
+from design.jump_linear.order_of_modes import cyclic_classes, growth_in_every_order, parts, periodic_cost, periodic_radius
+from design.jump_linear.second_moment import backward, mean_square_radius, operator_matrix
 
 
 def in_turn(classes: int, each: int, n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -55,6 +55,31 @@ def test_what_arpack_has_not_found_is_not_its_answer(monkeypatch: pytest.MonkeyP
     assert periodic_radius(A, transition) == pytest.approx(whole, rel=1e-9)
     monkeypatch.setattr(order_of_modes, "EIG_DENSE_AFTER", 10)
     assert whole <= periodic_radius(A, transition) < 1.0 and np.isnan(periodic_radius(A, transition, bounded=False))
+
+
+@pytest.mark.parametrize("left", [0.0, 0.9])
+def test_two_cycles_side_by_side_and_a_mode_before_them_are_taken_apart(left: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cycles of 6 and 9 slots meet in three of their phases, 18 slots each; a mode that is left with 1 - `left` leads to all."""
+    cycle = np.kron(*(np.roll(np.eye(n), 1, axis=1) for n in (6, 9)))
+    transition = np.block([[np.full((1, 1), left), np.full((1, 54), (1.0 - left) / 54)], [np.zeros((54, 1)), cycle]])
+    A = 0.3 * np.random.default_rng(2).normal(size=(55, 3, 3))
+    whole = np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max()
+    monkeypatch.setattr(order_of_modes, "largest_by_arpack", None)  # not asked for
+    assert periodic_radius(A, transition) == pytest.approx(whole, rel=1e-9)
+    assert not parts(0.0 * A, 0.0 * transition) and periodic_radius(A, 0.0 * transition) == 0.0
+    monkeypatch.setattr(order_of_modes, "_product_radius", lambda matrices: float("nan"))
+    assert np.isnan(periodic_radius(A, transition))
+    if left:
+        A[0] *= np.sqrt(2.0 / left) / np.abs(np.linalg.eigvals(A[0])).max()
+        assert periodic_radius(A, transition) == pytest.approx(2.0)  # it decides, whatever the cycles do
+
+
+def test_one_part_that_grows_proves_that_all_modes_together_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two independent chains of 70 modes, of which one shrinks; products of all modes together are not asked."""
+    transition = np.kron(np.eye(2), np.full((70, 70), 1.0 / 70))
+    A = np.repeat([1.1, 0.5], 70)[:, None, None] * np.eye(2)
+    monkeypatch.setattr(certificate, "side_of_one", None)  # not asked for
+    assert certificate.grows(A, transition, 1.21)
 
 
 def test_the_growth_is_rounded_up() -> None:
