@@ -283,7 +283,7 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     if label_counts:
         if len(label_counts) != len(chains):
             raise FieldError("label_counts", f"{len(label_counts)} numbers for {len(chains)} nodes")
-        label = np.ravel_multi_index(tuple(np.minimum(own, np.array(label_counts)[:, None] - 1)), tuple(label_counts))
+        label = labels_of(own, label_counts)
     exact = all(chain.between is None for chain in chains)
     low, high = ([chain.bounds[side] for chain in chains] for side in (0, 1))
     held = None
@@ -297,6 +297,22 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
         transition=kron_of([chain.matrix for chain in chains]), delays=own.max(axis=0), labels=label,
         between=None if exact else (kron_of(low), kron_of(high)), ages=ages, held=held,
     )  # fmt: skip
+
+
+def labels_of(ages: Index, counts: int | Sequence[int]) -> Index:
+    """Return the label (modes,) of each mode of several nodes.
+
+    Args:
+        ages: (nodes, modes) age of every node's newest sample.
+        counts: how many ages 0, 1, ... have labels of their own, of the oldest sample or of every node's, the last fastest; an
+            older sample has the last.
+
+    >>> labels_of(np.array([[0, 1, 1], [0, 0, 3]]), (2, 2)).tolist()
+    [0, 2, 3]
+    """
+    if isinstance(counts, int):
+        return np.asarray(np.minimum(ages.max(axis=0), counts - 1))
+    return np.asarray(np.ravel_multi_index(tuple(np.minimum(ages, np.array(counts)[:, None] - 1)), tuple(counts)))
 
 
 def kron_of(factors: Sequence[Array]) -> Array:

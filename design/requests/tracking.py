@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from msgspec import structs
 
 from design.controllers import LoopModel, OutputFeedback, SendAll, check_row_sojourns, nested
 from design.errors import FieldError, check_at_least_zero
@@ -39,7 +40,6 @@ class DesignTask:
     Args:
         model: the nominal plant at the sample period, and the largest delays.
         sc, ca: the delay chains of both directions; None where a law has none.
-        sc_nodes: several sensor nodes: the delay chain of each; empty where a law has none, or for one node.
         jump_system: the modes of a plant that jumps, None of one that does not.
         jump_process: how its modes change.
         delayed_plant: the plant of Chapter 5, None of one that does not measure its state.
@@ -50,7 +50,6 @@ class DesignTask:
 
     model: LoopModel
     sc: DelayChain | None = None
-    sc_nodes: tuple[DelayChain, ...] = ()
     ca: DelayChain | None = None
     jump_system: JumpSystem | DelayedJumpSystem | None = None
     jump_process: SemiMarkov | FaultDetection | None = None
@@ -170,10 +169,11 @@ class Designed:
         if several and self.sojourns > 1:
             raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")
         if several and self.node_ages == "each":
-            from design.processes.delay_chain import product_chain
+            from design.processes.delay_chain import labels_of
 
-            ages = tuple(chain.max_delay + 1 for chain in task.sc_nodes)
-            sc = product_chain(task.sc_nodes, model.nodes.outputs, ages)
+            own = sc.output_ages(p)[:, [outputs[0] for outputs in model.nodes.outputs]].T
+            ages = tuple((own.max(axis=1) + 1).tolist())
+            sc = structs.replace(sc, labels=labels_of(own, ages))
         from design.tracking.gain_cache import solve_cached
         from design.tracking.synthesis import TrackingProblem
 

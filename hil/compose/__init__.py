@@ -202,7 +202,7 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
     delayed = delayed_plant_of(plant, model, ca)
     initial = None if delayed is None else known_past(plant)[0]
     return DesignTask(
-        model=model, sc=sc, sc_nodes=chains.nodes or (), ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,
+        model=model, sc=sc, ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,
         chainless=chainless, **jumps,
     )  # fmt: skip
 

@@ -35,6 +35,9 @@ LEAST_SLOTS: Final = 1000
 """Slots of the run that a law is estimated from, where the experiment has fewer."""
 
 
+WAYS: Final = ("sc", "ca")
+
+
 class BusLaw(Struct, frozen=True, kw_only=True):
     """The law of one way over the bus.
 
@@ -72,7 +75,7 @@ def exact_laws(loop: Loop) -> dict[str, BusLaw] | None:
     delays, _ = _delays(loop, bus)
     if delays is None or not delays.exact:
         return None
-    return {way: _exact(loop, delays, way) for way in (("sc", "ca") if bus.table.control else ("sc",))}
+    return {way: _exact(loop, delays, way) for way in WAYS[: len(delays.packets)]}
 
 
 def _bus(rig: RigSpec, name: str) -> SharedMedium:
@@ -99,12 +102,12 @@ def _delays(loop: Loop, bus: SharedMedium) -> tuple[BusDelays | None, str]:
 def _bounds(loop: Loop, delays: BusDelays | None, way: str) -> tuple[float | None, int | None]:
     if delays is None:
         return None, None
-    return delays.worst_ns[("sc", "ca").index(way)] / 1e6, _chain(loop, delays, way).max_delay
+    return delays.worst_ns[WAYS.index(way)] / 1e6, _chain(loop, delays, way).max_delay
 
 
 def _chain(loop: Loop, delays: BusDelays, way: str) -> DelayChain:
-    ages, receiver = (delays.sensor, loop.rig.at_controller) if way == "sc" else (delays.control, loop.rig.at_actuator)
-    return chain_of_ages(ages, receiver._replace(max_age=1 << 20))
+    receiver = loop.rig.at_controller if way == "sc" else loop.rig.at_actuator
+    return chain_of_ages(delays.packets[WAYS.index(way)], receiver._replace(max_age=1 << 20))
 
 
 def _exact(loop: Loop, delays: BusDelays, way: str) -> BusLaw:

@@ -123,7 +123,8 @@ def _over_bus(rig: RigSpec, chains: Chains, controller: Controller, model: LoopM
         raise NotKnown("the theory of this controller knows no CAN bus with time")
     from hil.rig.bus_delays import bus_chains
 
-    sc, ca = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
+    rows, distinguished = row_count(controller.start(model).selection, model.d_max), _distinguished(controller, model)
+    sc, ca = bus_chains(rig, rows, distinguished=distinguished)
     if ca.begins is None:  # control packets travel elsewhere
         return LoopChains(*settled(*_in_phase(sc, _begins(ca, (chains.applied,)), (False, True))), "", "")
     return LoopChains(*settled(sc, ca), "", "")

@@ -60,7 +60,7 @@ def received_ages(
     Raises:
         NotKnown: there is none.
     """
-    from design.processes.delay_chain import DelayChain
+    from design.processes.delay_chain import DelayChain, labels_of
 
     sensors = rig.sensors
     media: list[SlottedMedium] = []
@@ -95,24 +95,19 @@ def received_ages(
     if not states:
         raise NotKnown(f"media, clocks and laws together have more than {MOST_STATES} states")
     ages = np.zeros((len(states), len(rig.outputs)), dtype=np.int64)
-    held, label = np.zeros(ages.shape, dtype=np.bool_), np.zeros(len(states), dtype=np.int64)
-    begins = np.zeros(len(states), dtype=np.bool_)
-    for i, (state, first) in enumerate(states.items()):
-        own = [each.age(sent, at) for each, sent, at in zip(channels, state.sent, state.laws)]
-        for sensor, age, bound in zip(sensors, own, far):
+    held, own = np.zeros(ages.shape, dtype=np.bool_), np.zeros((len(sensors), len(states)), dtype=np.int64)
+    for i, state in enumerate(states):
+        own[:, i] = [each.age(sent, at) for each, sent, at in zip(channels, state.sent, state.laws)]
+        for sensor, age, bound in zip(sensors, own[:, i], far):
             ages[i, list(sensor.outputs)], held[i, list(sensor.outputs)] = min(age, bound - 1), age >= bound
-        label[i] = (
-            min(max(own), distinguished - 1) if isinstance(distinguished, int)
-            else np.ravel_multi_index([min(age, count - 1) for age, count in zip(own, distinguished)], tuple(distinguished))
-        )  # fmt: skip
-        begins[i] = first
     exact = all(low == chance == high for _, _, (chance, low, high) in steps)
     matrices = np.zeros((3, len(states), len(states)))
     for i, j, chances in steps:
         matrices[:, i, j] += chances
     matrices[0] /= matrices[0].sum(axis=1, keepdims=True)
     return DelayChain(
-        transition=matrices[0], delays=ages.max(axis=1), labels=label, ages=ages, held=held, begins=begins,
+        transition=matrices[0], delays=ages.max(axis=1), labels=labels_of(own, distinguished), ages=ages, held=held,
+        begins=np.array(list(states.values())),
         between=None if exact else (np.minimum(matrices[1], matrices[0]), np.clip(matrices[2], matrices[0], 1.0)),
     )  # fmt: skip
 

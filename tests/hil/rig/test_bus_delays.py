@@ -9,7 +9,7 @@ import pytest
 
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.log.topics import APPLIED, ROWS
+from hil.log.topics import APPLIED, ROWS, SC
 from hil.rig import rig_of
 from hil.rig.bus_delays import bus_chains, bus_delays, chain_of_ages
 from hil.rig.can_bus import can_bus_of
@@ -22,6 +22,12 @@ TWO = '{name="a", can_id=1, data="0102", period="10 ms"}, {name="b", can_id=2, l
 FIXED = f"network.media.bus.traffic=[{TWO}]"
 SHAKEN = 'network.media.bus.traffic=[{name="a", can_id=1, period="5 ms", jitter="3 ms"}, {name="b", can_id=2, period="10 ms"}]'
 OFTEN = '{name="a", can_id=1, period="10.000019 ms"}, {name="b", can_id=2, period="9.999991 ms"}'
+
+NODES = (
+    "plant.tachometer=true", "controller={kind='local-designed'}", "reference=[]", "disturbance=[]",
+    'network.media.bus.nodes=["motor", "speed"]',
+    "network.sc.max_age=4", "network.ca.max_age=2",
+)  # fmt: skip
 
 
 def rig(*sets: str):  # type: ignore[no-untyped-def]
@@ -37,13 +43,13 @@ def test_the_busy_bus_leaves_open_what_the_length_of_its_frames_decides() -> Non
     own = rig()
     found = bus_delays(own, can_bus_of(own), 1)
     assert not found.exact
-    assert found.sensor == ((1, 1), *((0, 0), (0, 1)) * 9, (0, 0)) and set(found.control) == {(0, 0)}
+    assert found.packets[0] == ((1, 1), *((0, 0), (0, 1)) * 9, (0, 0)) and set(found.packets[1]) == {(0, 0)}
     assert found.worst_ns[1] <= 39_656_000 <= 40_000_000  # the bound of any offsets; the deadline leaves 40 ms
-    chain = chain_of_ages(found.sensor, own.at_controller)
+    chain = chain_of_ages(found.packets[0], own.at_controller)
     assert chain.open and chain.modes == 29 and steps(chain) == {(0, 0), (0, 1), (1, 0)}
     longest = bus_delays(own, can_bus_of(own), 1, longest=True)
     assert longest.exact
-    design = chain_of_ages(longest.sensor, own.at_controller)
+    design = chain_of_ages(longest.packets[0], own.at_controller)
     assert not design.open and design.delay.tolist() == [1, 0] and design.matrix.tolist() == [[0.0, 1.0], [1.0, 0.0]]
 
 
@@ -63,6 +69,48 @@ def test_the_ages_of_a_run_follow_each_other_as_the_chain_says(sets: tuple[str, 
         assert set(pairwise(ages[20:].tolist())) <= steps(chain)
 
 
+def two_nodes(clock: str = "{every=2, phase=1}", *sets: str):  # type: ignore[no-untyped-def]
+    return load_experiment(NAME, (f"network.nodes.speed={{outputs=['speed'], clock={clock}}}", *NODES, *sets))
+
+
+@pytest.mark.parametrize(
+    ("clock", "sets", "possible"),
+    [
+        ("{every=2, phase=1}", (), {(0, 0), (0, 1), (1, 1)}),
+        ("{every=3}", ("network.media.bus.buffer='fifo'", "timing.deadline=0.1", SHAKEN), {(0, 0), (0, 1), (0, 2)}),
+        ("{every=1}", (FIXED, "network.media.bus.bitrate=20000", "timing.deadline=0.3"), {(0, 0), (0, 1)}),
+        ("{every=1}", (FIXED, "network.media.bus.bitrate=16000", "network.media.bus.buffer='fifo'"), {(1, 1)}),
+        ("{every=2}", ("timing.deadline=0.3",), {(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)}),
+    ],
+)  # fmt: skip
+def test_the_ages_of_two_nodes_follow_each_other_as_their_chain_says(
+    clock: str, sets: tuple[str, ...], possible: set[tuple[int, int]]
+) -> None:
+    """By hand: of all packets that have come the newest of each node, slot by slot; a path of the chain leads through them."""
+    loop = compose(two_nodes(clock, "duration=4", "allow_uncertified=true", *sets), certify=False)
+    chain = bus_chains(loop.rig, loop.rows)[0]
+    assert {*map(tuple, chain.ages.tolist())} == possible
+    came = simulate(loop, 3).arrays[SC.name]
+    newest = np.zeros((80, 2), dtype=np.int64)
+    for slot, sent, node in came[["slot", "packet_slot", "node"]][came["reason"] == 0].tolist():
+        newest[slot:, node] = np.maximum(newest[slot:, node], sent)
+    ages = np.arange(80)[:, None] - newest
+    at = (chain.ages == ages[20]).all(axis=1)
+    for own in ages[21:]:
+        at = (chain.bounds[1][at] > 0.0).any(axis=0) & (chain.ages == own).all(axis=1)
+        assert at.any()
+
+
+def test_two_nodes_on_a_bus_are_certified_by_the_ages_of_both() -> None:
+    verdict = compose(two_nodes()).verdict
+    assert verdict is not None and verdict.certified and "over ages 0 to 1 at the controller" in verdict.reason
+    table = "controller={kind='send-all', ages=[2, 2], selection='constant', gains=[[[[-0.1, -0.01]]], [[[%s]]], %s, %s]}"
+    for gains, state in (("-0.1, -0.01", "certified"), ("9, 9", "refused")):  # in every other slot the speed is one slot old
+        own = table % (gains, [[[0, 0]]], [[[0, 0]]])
+        verdict = compose(two_nodes("{every=2}", FIXED, own, "allow_uncertified=true")).verdict
+        assert verdict is not None and verdict.state == state
+
+
 def test_frames_of_known_length_make_the_ages_repeat_exactly() -> None:
     own = rig(FIXED, "network.media.bus.bitrate=50000")
     sc, ca = bus_chains(own, 1)
@@ -72,8 +120,7 @@ def test_frames_of_known_length_make_the_ages_repeat_exactly() -> None:
 def test_offsets_that_never_come_again_leave_the_bounds_of_any_offsets() -> None:
     own = rig(f"network.media.bus.traffic=[{OFTEN}]")
     found = bus_delays(own, can_bus_of(own), 1)
-    assert len(found.sensor) == 1
-    assert found.sensor == ((0, 0),) and found.control == ((0, 0),) and found.worst_ns == (3_656_000, 3_656_000)
+    assert found.packets == (((0, 0),), ((0, 0),)) and found.worst_ns == (3_656_000, 3_656_000)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +132,7 @@ def test_offsets_that_never_come_again_leave_the_bounds_of_any_offsets() -> None
         (('network.nodes.motor.trigger={kind="dead-band", threshold=0.1}',), "network.media.bus: the ages over a CAN bus"),
         (("network.media.bus.bitrate=100000",), "the messages may need more than the whole bus"),
         (('network.sc.law={kind="constant", age=1}',), "adds ages of its own"),
+        (("network.nodes.speed.outputs=['speed']", *NODES, 'network.media.bus.nodes=["motor"]'), "node 'speed' is not on it"),
     ],
 )
 def test_what_prevents_a_chain_is_named_in_the_verdict(sets: tuple[str, ...], said: str) -> None:
@@ -96,7 +144,7 @@ def test_what_prevents_a_chain_is_named_in_the_verdict(sets: tuple[str, ...], sa
 def test_a_cycle_is_computed_up_to_1024_slots(period: str, slots: int) -> None:
     own = rig(f'network.media.bus.traffic=[{{name="a", can_id=1, period="{period}"}}]')
     if slots == 1024:
-        assert len(bus_delays(own, can_bus_of(own), 1).sensor) == 1024
+        assert len(bus_delays(own, can_bus_of(own), 1).packets[0]) == 1024
         return
     with pytest.raises(NotKnown, match="its traffic comes again after 1025 slots, at most 1024 are computed"):
         bus_delays(own, can_bus_of(own), 1)
