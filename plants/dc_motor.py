@@ -126,9 +126,11 @@ class DCMotor:
         errors. The disturbance goes through the driver: in the laboratory it was added to the control signal.
         """
         return cls(
-            driver=Driver(saturation_v=0.058, dead_zone_v=0.0033), friction=Friction(coulomb_v=0.0017, static_v=0.0026),
-            encoder=Encoder(step_rad=0.0038), disturbance_through_driver=True,
-        )  # fmt: skip
+            driver=Driver(saturation_v=0.058, dead_zone_v=0.0033),
+            friction=Friction(coulomb_v=0.0017, static_v=0.0026),
+            encoder=Encoder(step_rad=0.0038),
+            disturbance_through_driver=True,
+        )
 
     def model(self) -> StateSpace:
         """Return the linear model that a designer sees: state (angle, speed), without the imperfections."""

@@ -147,12 +147,14 @@ class FMU:
             if len(named[which]) != size:
                 raise FieldError(which, f"{len(named[which])} variables ({', '.join(named[which])}), but the model has {size}")
         return Unit(
-            path=str(path), version=version, identifier=simulation.modelIdentifier,
+            path=str(path),
+            version=version,
+            identifier=simulation.modelIdentifier,
             token=description.guid if version == 2 else description.instantiationToken,
             references=tuple(tuple(real[name].valueReference for name in names) for names in named.values()),
             parameters=(tuple(real[name].valueReference for name in self.parameters), tuple(self.parameters.values())),
             signals=tuple(tuple(_signal(name, _unit_of(real[name])) for name in names) for names in named.values()),
-        )  # fmt: skip
+        )
 
     @property
     def unit(self) -> Unit:

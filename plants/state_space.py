@@ -212,9 +212,12 @@ class TransferFunction:
         shares = [b / largest for b in num]
         shift = [tuple(float(j == i + 1) for j in range(n)) for i in range(n - 1)]
         return LinearPlant(
-            A=(*shift, tuple(-a for a in reversed(den))), B=(*((0.0,),) * (n - 1), (largest / self.den[0],)),
-            C=((*reversed(shares), *(0.0,) * (n - len(shares))),), inputs=(self.input,), outputs=(self.output,),
-        )  # fmt: skip
+            A=(*shift, tuple(-a for a in reversed(den))),
+            B=(*((0.0,),) * (n - 1), (largest / self.den[0],)),
+            C=((*reversed(shares), *(0.0,) * (n - len(shares))),),
+            inputs=(self.input,),
+            outputs=(self.output,),
+        )
 
     @property
     def inputs(self) -> tuple[Signal, ...]:

@@ -210,7 +210,12 @@ def mjls_energies(
     if x0.shape not in (shape, shape[1:]) or not np.isfinite(x0).all():
         raise FieldError("start", f"expected finite numbers of shape {shape[1:]} or {shape}, got shape {x0.shape}")
     energies = _ChainEnergies(
-        system=system, start=np.broadcast_to(x0, shape), initial=system.alpha(initial), steps=steps, seed=seed, first=first,
+        system=system,
+        start=np.broadcast_to(x0, shape),
+        initial=system.alpha(initial),
+        steps=steps,
+        seed=seed,
+        first=first,
         runs=runs,
-    )  # fmt: skip
+    )
     return np.concatenate([part for _, part in in_chunks(energies, first, runs, CHUNK, workers)])

@@ -57,11 +57,15 @@ def certify_structure(
 ) -> Certificate:
     """Certify gains in a loop structure, see `certify_loop`."""
     return certify_system(
-        structure.system(gains), selection=structure.selection, output=output,
+        structure.system(gains),
+        selection=structure.selection,
+        output=output,
         initial=structure.default_initial if initial is None else initial,
-        initial_law=structure.initial_law if initial is None else "given", between=structure.between, stays=structure.stays,
+        initial_law=structure.initial_law if initial is None else "given",
+        between=structure.between,
+        stays=structure.stays,
         hinf=hinf,
-    )  # fmt: skip
+    )
 
 
 HORIZON = 5000

@@ -127,10 +127,13 @@ def predict_tracking(
             walk.step(k, w[k], f[k], hold)
         sums = walk.sums()
     return Prediction(
-        error_mean=mean, error_sd=np.sqrt(np.maximum(variance, 0.0)), square_mean=square,
-        square_sd=np.sqrt(np.maximum(fourth - square**2, 0.0)), sum_mean=sums[0],
+        error_mean=mean,
+        error_sd=np.sqrt(np.maximum(variance, 0.0)),
+        square_mean=square,
+        square_sd=np.sqrt(np.maximum(fourth - square**2, 0.0)),
+        sum_mean=sums[0],
         sum_sd=np.sqrt(np.maximum(sums[1] - sums[0] ** 2, 0.0)),
-    )  # fmt: skip
+    )
 
 
 def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:

@@ -131,14 +131,19 @@ def stiffness_map(
             for hand in hands_n_s_per_m:
                 beta = damping_n_s_per_m + hand
                 coupler = certified_coupler(delay, period_s=period, damping_n_s_per_m=beta)
-                cells.append(StiffnessCell(
-                    period_s=period, delay_samples=delay, hand_damping_n_s_per_m=hand,
-                    certified_n_per_m=1.0 / coupler.static_compliance_m_per_n,
-                    ceiling_n_per_m=ceiling_n_per_m(period, beta, delay),
-                    colgate_n_per_m=None if delay else colgate_n_per_m(period, beta),
-                    gil_hulin_n_per_m=gil_hulin_n_per_m(period, beta, delay), exact_n_per_m=alone,
-                    taps_m_per_n=coupler.taps_m_per_n,
-                ))  # fmt: skip
+                cells.append(
+                    StiffnessCell(
+                        period_s=period,
+                        delay_samples=delay,
+                        hand_damping_n_s_per_m=hand,
+                        certified_n_per_m=1.0 / coupler.static_compliance_m_per_n,
+                        ceiling_n_per_m=ceiling_n_per_m(period, beta, delay),
+                        colgate_n_per_m=None if delay else colgate_n_per_m(period, beta),
+                        gil_hulin_n_per_m=gil_hulin_n_per_m(period, beta, delay),
+                        exact_n_per_m=alone,
+                        taps_m_per_n=coupler.taps_m_per_n,
+                    )
+                )
     return tuple(cells)
 
 

@@ -128,9 +128,12 @@ def stiffest_coupler(
         if not is_passive_over(coupler, period_s, damping_n_s_per_m, *each):
             raise DesignError(f"coupler: the taps found do not meet the condition for a delay of {each[-1]} samples")
     found = CouplerDesign(
-        coupler=coupler, delays=asked, period_s=period_s, damping_n_s_per_m=damping_n_s_per_m,
+        coupler=coupler,
+        delays=asked,
+        period_s=period_s,
+        damping_n_s_per_m=damping_n_s_per_m,
         bound_m_per_n=unit * least_sum(asked, varying=varying),
-    )  # fmt: skip
+    )
     if stiffness_n_per_m is not None and stiffness_n_per_m > found.stiffness_n_per_m:
         raise Infeasible(
             f"stiffness_n_per_m: {stiffness_n_per_m:.6g} N/m; one coupler of {count} taps that is safe for every delay of "

@@ -123,11 +123,18 @@ def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, 
     tail = system.a[mode] + system.b[mode] @ gain.at(mode, end)
     rates = process.rate(mode, end) if math.isfinite(settled) else None
     return _ModeMoments(
-        h=np.concatenate(hs) if hs else np.zeros(0), weights=np.concatenate(weights) if hs else np.zeros((0, process.modes)),
-        squares=np.concatenate(squares) if hs else np.zeros((0, q, q)), tail_start=end, tail_rates=rates,
-        tail_square=congruence(phi), tail_generator=moment_operators(tail[None])[0], growth=growth, limit=process.limit(mode),
-        spent=float(process.integral(mode, end) - process.integral(mode, float(starts[-1]))), tail_span=end - float(starts[-1]),
-    )  # fmt: skip
+        h=np.concatenate(hs) if hs else np.zeros(0),
+        weights=np.concatenate(weights) if hs else np.zeros((0, process.modes)),
+        squares=np.concatenate(squares) if hs else np.zeros((0, q, q)),
+        tail_start=end,
+        tail_rates=rates,
+        tail_square=congruence(phi),
+        tail_generator=moment_operators(tail[None])[0],
+        growth=growth,
+        limit=process.limit(mode),
+        spent=float(process.integral(mode, end) - process.integral(mode, float(starts[-1]))),
+        tail_span=end - float(starts[-1]),
+    )
 
 
 def _far_enough(process: SemiMarkov, mode: int, start: float, growth: float) -> float:

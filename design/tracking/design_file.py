@@ -160,10 +160,16 @@ def _design(document: Any) -> DesignFile:
         raise FieldError("problem.samples", f"{samples!r:.60}, expected 1 or 2")
     stays, rows = _row_sojourns(known.get("ca"), gains)
     return DesignFile(
-        selection=selection, gains=rows, integral=bool(known.get("integral", 0)), samples=samples,
-        sojourns=_sojourns(known.get("sc")), row_sojourns=stays, period_s=float(period), plant=str(document.get("plant", "")),
+        selection=selection,
+        gains=rows,
+        integral=bool(known.get("integral", 0)),
+        samples=samples,
+        sojourns=_sojourns(known.get("sc")),
+        row_sojourns=stays,
+        period_s=float(period),
+        plant=str(document.get("plant", "")),
         document=document,
-    )  # fmt: skip
+    )
 
 
 def _chain(problem: Any, name: str) -> DelayChain:

@@ -195,9 +195,12 @@ def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
     folder = Path(keep) / folder_of(request.node.nodeid) if keep else tmp_path / "hil"
     worker = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
     rig = Runner(
-        folder, request.config.getoption("--hil-clock"), request.config.getoption("--hil-link"),
-        int(worker) if worker.isdecimal() else None, "timing" in _required(request.config),
-    )  # fmt: skip
+        folder,
+        request.config.getoption("--hil-clock"),
+        request.config.getoption("--hil-link"),
+        int(worker) if worker.isdecimal() else None,
+        "timing" in _required(request.config),
+    )
     request.node.stash[RUNNER] = rig
     yield rig
     request.node.user_properties += [each for session, _ in rig.sessions for each in properties(session)]

@@ -179,10 +179,12 @@ def mismatches(
             continue
         at = int((apart > EQUAL).any(axis=(1, 2)).argmax())
         row, j = np.unravel_index(int(apart[at].argmax()), apart[at].shape)
-        found.append(Mismatch(
-            size=size, share=float(apart.max()), slot=excitation.slots[at], age=int(excitation.ages[at].max()), row=int(row),
-            found=float(moved[at, row, j]), foretold=float(expected[at, row, j]),
-        ))  # fmt: skip
+        found.append(
+            Mismatch(
+                size=size, share=float(apart.max()), slot=excitation.slots[at], age=int(excitation.ages[at].max()), row=int(row),
+                found=float(moved[at, row, j]), foretold=float(expected[at, row, j]),
+            )
+        )  # fmt: skip
     return found
 
 

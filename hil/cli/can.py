@@ -309,10 +309,14 @@ def vcan(
     if source is not None and not source.is_file():
         raise click.BadParameter(f"there is no file {visible(source)}", param_hint="--source")
     wanted = Wanted(
-        command=argv, backend=backend, virtual_time=virtual_time,
-        writable=tuple(os.path.abspath(place) for place in (Path(), *rw)), source=None if source is None else source.absolute(),
-        install=install, verbose=verbose,
-    )  # fmt: skip
+        command=argv,
+        backend=backend,
+        virtual_time=virtual_time,
+        writable=tuple(os.path.abspath(place) for place in (Path(), *rw)),
+        source=None if source is None else source.absolute(),
+        install=install,
+        verbose=verbose,
+    )
     try:
         status = run_beside_vcan(wanted, timeout)
     except RunnerError as why:

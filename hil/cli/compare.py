@@ -66,8 +66,10 @@ def compare(
     first = experiments[0]
     out: dict[str, Any] = {
         name: {
-            "stopped_by_safety": int(values["stopped"].sum()), "metrics": {m: statistics(values[m]) for m in names},
-            "verdict": comparison.verdict(name) if name != first else None, "caution": comparison.cautions.get(name),
+            "stopped_by_safety": int(values["stopped"].sum()),
+            "metrics": {m: statistics(values[m]) for m in names},
+            "verdict": comparison.verdict(name) if name != first else None,
+            "caution": comparison.cautions.get(name),
             "difference": {m: as_plain(comparison.difference(name, m)) for m in names},
         }
         for name, values in comparison.values.items()

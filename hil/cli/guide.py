@@ -109,7 +109,10 @@ def bill() -> list[dict[str, Any]]:
     found = {_plain(d.metadata["Name"]): d for d in distributions()}
     return [
         {
-            "name": name, "version": d.version, "licence": _licence(d), "copyleft": COPYLEFT.search(_licence(d)) is not None,
+            "name": name,
+            "version": d.version,
+            "licence": _licence(d),
+            "copyleft": COPYLEFT.search(_licence(d)) is not None,
             "needed_by_hil": name in needed,
         }
         for name, d in sorted(found.items())

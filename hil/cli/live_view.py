@@ -104,9 +104,13 @@ class LiveView:
             from rich.live import Live
 
             self._live = Live(
-                console=self._console, get_renderable=self.render, refresh_per_second=REFRESH_HZ, transient=True,
-                redirect_stdout=False, redirect_stderr=False,
-            )  # fmt: skip
+                console=self._console,
+                get_renderable=self.render,
+                refresh_per_second=REFRESH_HZ,
+                transient=True,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
             self._live.start()
         return self
 

@@ -122,9 +122,12 @@ def program_files(of: ExternalController, stem: str, language: Language) -> dict
     database = database_of(rig_dbc(of.loop.rig, of.link.uri))
     header, codec = c_codec(database)
     return {
-        f"{stem}.c": _filled("external_controller.c.txt", of, values), f"{stem}.h": c_tables(of, database),
-        "packet_codes.h": _filled("packet_codes.h.txt", of, values), "hilrig.h": header, "hilrig.c": codec,
-    }  # fmt: skip
+        f"{stem}.c": _filled("external_controller.c.txt", of, values),
+        f"{stem}.h": c_tables(of, database),
+        "packet_codes.h": _filled("packet_codes.h.txt", of, values),
+        "hilrig.h": header,
+        "hilrig.c": codec,
+    }
 
 
 def in_comment(text: str) -> str:

@@ -103,16 +103,25 @@ def command(
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)
     out: dict[str, Any] = {
-        "experiment": checked.name, "runs": int(values["seed"].size), "requested": runs, "first_seed": first_seed,
-        "wall_s": round(time.perf_counter() - begun, 3), "stopped_by_safety": int(values["stopped"].sum()),
-        "metrics": {name: statistics(values[name]) for name in metrics}, "caution": found.caution or None,
-    }  # fmt: skip
+        "experiment": checked.name,
+        "runs": int(values["seed"].size),
+        "requested": runs,
+        "first_seed": first_seed,
+        "wall_s": round(time.perf_counter() - begun, 3),
+        "stopped_by_safety": int(values["stopped"].sum()),
+        "metrics": {name: statistics(values[name]) for name in metrics},
+        "caution": found.caution or None,
+    }
     if rule is not None:
         seen = found.interval
         out["until"] = {
-            "metric": rule[0], "statistic": rule[1].statistic, "half_width": rule[1].half_width, "level": rule[1].level,
-            "reached": found.reached, "interval": None if seen is None or not seen.bounded else seen._asdict(),
-        }  # fmt: skip
+            "metric": rule[0],
+            "statistic": rule[1].statistic,
+            "half_width": rule[1].half_width,
+            "level": rule[1].level,
+            "reached": found.reached,
+            "interval": None if seen is None or not seen.bounded else seen._asdict(),
+        }
     if table is not None:
         write_output(table, found.csv_text(), replace=force)
     if output is not None and out["runs"]:

@@ -105,9 +105,14 @@ def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Exp
     except PlantError as e:
         raise ExperimentError(experiment.name, [f"period: {e}"]) from e
     return experiment, rig, LoopModel(
-        A=np.asarray(discrete.A), B=np.asarray(discrete.B), C=np.asarray(discrete.C), period_s=float(experiment.period),
-        tau_max=rig.at_controller.max_age, d_max=rig.at_actuator.max_age, sensors=rig.nodes,
-    )  # fmt: skip
+        A=np.asarray(discrete.A),
+        B=np.asarray(discrete.B),
+        C=np.asarray(discrete.C),
+        period_s=float(experiment.period),
+        tau_max=rig.at_controller.max_age,
+        d_max=rig.at_actuator.max_age,
+        sensors=rig.nodes,
+    )
 
 
 def _solved(experiment: Experiment, rig: RigSpec, model: LoopModel) -> tuple[Experiment, Gains | None, Chains | None]:
@@ -165,9 +170,18 @@ def _compose(
             taken_over=None if knows is None else nominal,
         )  # fmt: skip
     return Loop(
-        experiment=experiment, model=model, controller=controller, rig=rig.tabulated(), chains=chains, rows=rows,
-        selection=running.selection, samples=samples, verdict=verdict, gains=gains, watched=watched,
-    )  # fmt: skip
+        experiment=experiment,
+        model=model,
+        controller=controller,
+        rig=rig.tabulated(),
+        chains=chains,
+        rows=rows,
+        selection=running.selection,
+        samples=samples,
+        verdict=verdict,
+        gains=gains,
+        watched=watched,
+    )
 
 
 def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> DesignTask:

@@ -98,13 +98,15 @@ def analyse(
     unknown = disturbed and errors is None
     for bound in response_times(messages, rates, errors):
         own, bounded = bound.message, bound.response_ns is not None and not unknown
-        found.append(AnalysedMessage(
-            name=own.name, can_id=own.identifier, extended=own.extended, length=own.length, frame_ms=bound.frame_ns / 1e6,
-            period_ms=own.period_ns / 1e6, deadline_ms=own.due_in_ns / 1e6,
-            bound_ms=(bound.response_ns or 0) / 1e6 if bounded else None,
-            measured_ms=measured_ms.get((own.extended, own.identifier)), in_time=bounded and bound.in_time,
-            delayed_by=bound.delayed_by,
-        ))  # fmt: skip
+        found.append(
+            AnalysedMessage(
+                name=own.name, can_id=own.identifier, extended=own.extended, length=own.length, frame_ms=bound.frame_ns / 1e6,
+                period_ms=own.period_ns / 1e6, deadline_ms=own.due_in_ns / 1e6,
+                bound_ms=(bound.response_ns or 0) / 1e6 if bounded else None,
+                measured_ms=measured_ms.get((own.extended, own.identifier)), in_time=bounded and bound.in_time,
+                delayed_by=bound.delayed_by,
+            )
+        )  # fmt: skip
     load = float(bus_load(messages, rates))
     return BusAnalysis(
         name=name, bitrate=rates.bitrate, dbitrate=rates.dbitrate, load=load, simulated_s=simulated_s, messages=tuple(found),

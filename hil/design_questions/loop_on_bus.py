@@ -251,9 +251,11 @@ def places_of(experiment: Experiment) -> list[Place]:
         control = first + ROOM * len(names)
         links = replace(e.links, control_can_id=control) if bus.table.control else e.links
         changed = replace(e, network=replace(e.network, nodes={**e.network.nodes, **nodes}, media=media), links=links)
-        found.append(Place(
-            above=above, can_id=first, control_can_id=control, moved=len(others) - above if shift else 0, experiment=changed
-        ))  # fmt: skip
+        found.append(
+            Place(
+                above=above, can_id=first, control_can_id=control, moved=len(others) - above if shift else 0, experiment=changed
+            )
+        )  # fmt: skip
     if not found:
         raise HilError(f"{e.name}: network.media.{bus.name}: no {need} identifiers of 11 bits are left")
     return found

@@ -46,10 +46,12 @@ class Haptics:
         states = view.run.arrays[STATE.name]
         given = _finite(whole(states, "given") if "given" in (states.dtype.names or ()) else np.zeros(0))
         return {
-            "final_depth": float(last.mean()) if last.size else None, "largest_depth": float(depth.max()) if depth.size else None,
-            "depth_spread": float(last.std()) if last.size else None, "largest_force": float(force.max()) if force.size else None,
+            "final_depth": float(last.mean()) if last.size else None,
+            "largest_depth": float(depth.max()) if depth.size else None,
+            "depth_spread": float(last.std()) if last.size else None,
+            "largest_force": float(force.max()) if force.size else None,
             "energy_given": 1e3 * float(given.max()) if given.size else None,
-        }  # fmt: skip
+        }
 
 
 def _finite(values: Array) -> Array:

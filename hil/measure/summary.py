@@ -73,9 +73,14 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
         why.append(f"{name} of the lateness is {worst:.0f} us, above a tenth of the period")
     missed = np.flatnonzero(late)
     return {
-        "valid": not why, "why": why, "lateness_us": lateness, "round_trip_us": percentiles(round_trip_us), "late": late_count,
-        "overruns": overruns, "first_late_slot": int(missed[0]) if missed.size else None,
-    }  # fmt: skip
+        "valid": not why,
+        "why": why,
+        "lateness_us": lateness,
+        "round_trip_us": percentiles(round_trip_us),
+        "late": late_count,
+        "overruns": overruns,
+        "first_late_slot": int(missed[0]) if missed.size else None,
+    }
 
 
 def percentiles(values: Array) -> dict[str, float | None]:
@@ -114,13 +119,21 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
     measures = view.once(run_measures)
     quantities = quantities_of(measures, view.signals) + each_output(measures, view.signals)
     return {
-        "experiment": run.metadata.get("experiment", ""), "seed": int(run.metadata.get("seed", 0)),
-        "clock": run.metadata.get("clock", ""), "link": run.metadata.get("link", ""), "controller": controller_of(run),
-        "slots": slots, "duration_s": round(slots * view.period_s, 9), "metrics": measured(view, measures, failed),
-        "titles": {q.name: q.title for q in quantities}, "units": {q.name: q.unit for q in quantities},
-        "network": network_summary(view, timing["late"]) | _bus(view), "timing": timing, "safety": safety_of(run),
+        "experiment": run.metadata.get("experiment", ""),
+        "seed": int(run.metadata.get("seed", 0)),
+        "clock": run.metadata.get("clock", ""),
+        "link": run.metadata.get("link", ""),
+        "controller": controller_of(run),
+        "slots": slots,
+        "duration_s": round(slots * view.period_s, 9),
+        "metrics": measured(view, measures, failed),
+        "titles": {q.name: q.title for q in quantities},
+        "units": {q.name: q.unit for q in quantities},
+        "network": network_summary(view, timing["late"]) | _bus(view),
+        "timing": timing,
+        "safety": safety_of(run),
         "certificate": certificate_of(run),
-    }  # fmt: skip
+    }
 
 
 def certificate_of(run: Run) -> dict[str, Any] | None:

@@ -220,10 +220,12 @@ def tracking_of_batch(view: BatchView) -> dict[str, Array]:
     last = max(round(STEADY_SHARE * n), 1)
     found = {
         "sse": view.period_s * squared.sum(axis=1),
-        "sse_after_5s": view.period_s * squared[:, begin:].sum(axis=1) if begin < n else nothing, "overshoot": nothing,
-        "settling_time_s": nothing, "steady_state_error": _worst_of_batch([error[:, -last:].mean(axis=1) for error in errors]),
+        "sse_after_5s": view.period_s * squared[:, begin:].sum(axis=1) if begin < n else nothing,
+        "overshoot": nothing,
+        "settling_time_s": nothing,
+        "steady_state_error": _worst_of_batch([error[:, -last:].mean(axis=1) for error in errors]),
         "max_abs_u": np.maximum.reduce([np.abs(u).max(axis=1) for u in view.inputs]),
-    }  # fmt: skip
+    }
     changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
     if changes.size:
         first, end = int(changes[0]), int(changes[1]) if changes.size > 1 else n

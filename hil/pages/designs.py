@@ -128,11 +128,13 @@ def can_priority_page(
         blocks.append(Text(text=f"With {best.place.moved} messages moved up, {_set_in(best)} does better."))
     taken = free or best
     return Page(
-        f"CAN identifiers: {name}", [Section(title="Cost over priority", blocks=tuple(blocks))], kicker="hilrig · CAN bus",
+        f"CAN identifiers: {name}",
+        [Section(title="Cost over priority", blocks=tuple(blocks))],
+        kicker="hilrig · CAN bus",
         subtitle="Each place of the loop's packets among the messages of the bus, run with the experiment's seed.",
         badges=[Badge(label="no place" if taken is None else _set_in(taken), state="bad" if taken is None else "good")],
         facts=[("places", str(len(judged))), ("length of each run", f"{seconds:g} s")],
-    )  # fmt: skip
+    )
 
 
 def _set_in(each: Judged) -> str:
@@ -165,10 +167,12 @@ def norm_trade_off_page(name: str, found: Sequence[Compromise]) -> Page:
         f"{last.hinf / first.hinf - 1.0:.2%} more in the H-infinity norm."
     )
     return Page(
-        f"Trade-off of the norms: {name}", [Section(title="Mixed designs", blocks=(figure, table, costs))],
-        kicker="hilrig · design", subtitle="The smallest H2 norm for every level of the H-infinity norm, over the network.",
+        f"Trade-off of the norms: {name}",
+        [Section(title="Mixed designs", blocks=(figure, table, costs))],
+        kicker="hilrig · design",
+        subtitle="The smallest H2 norm for every level of the H-infinity norm, over the network.",
         facts=[("designs", str(len(found)))],
-    )  # fmt: skip
+    )
 
 
 def _half(interval: Interval) -> str:

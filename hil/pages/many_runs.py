@@ -44,8 +44,16 @@ def compare_page(comparison: Comparison) -> str:
             rows.append([name, s["n"], s["mean"], s["sd"], *percentiles, *gap_cells])
         blocks: tuple[Block, ...] = (
             Figure(
-                title=f"{title}: share of runs at or below", series=tuple(series), x_label=title, x_unit=quantity.unit,
-                x_log=axis.log, x_asinh=axis.asinh, note=axis.note, y_label="share", y_range=(0.0, 1.0), sync=None,
+                title=f"{title}: share of runs at or below",
+                series=tuple(series),
+                x_label=title,
+                x_unit=quantity.unit,
+                x_log=axis.log,
+                x_asinh=axis.asinh,
+                note=axis.note,
+                y_label="share",
+                y_range=(0.0, 1.0),
+                sync=None,
             ),
             Table(
                 columns=("experiment", "runs", "mean", "sd", "5 %", "50 %", "95 %", *DIFFERENCE[: 2 * several]),
@@ -57,9 +65,11 @@ def compare_page(comparison: Comparison) -> str:
     sections.insert(0, _answer(comparison))
     stopped = ", ".join(f"{name}: " * several + str(int(found[name]["stopped"].sum())) for name in names)
     return Page(
-        "Comparison of experiments" if several else names[0], sections, subtitle=", ".join(names) if several else "many runs",
+        "Comparison of experiments" if several else names[0],
+        sections,
+        subtitle=", ".join(names) if several else "many runs",
         facts=(("runs of each" if several else "runs", str(comparison.runs)), ("stopped by safety", stopped)),
-    ).html()  # fmt: skip
+    ).html()
 
 
 def sweep_page(sweep: Sweep) -> str:

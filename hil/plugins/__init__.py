@@ -49,11 +49,13 @@ class ProcessState(NamedTuple):
     def now(cls) -> ProcessState:
         """Return how this process is at present."""
         return cls(
-            folder=_folder(), files={number: _file(number) for number in STREAMS},
+            folder=_folder(),
+            files={number: _file(number) for number in STREAMS},
             streams={"stdout": sys.stdout, "stderr": sys.stderr},
             handlers={number: signal.getsignal(number) for number in ENDING},
-            blocked=frozenset(signal.pthread_sigmask(signal.SIG_BLOCK, ())), environment=dict(os.environ),
-        )  # fmt: skip
+            blocked=frozenset(signal.pthread_sigmask(signal.SIG_BLOCK, ())),
+            environment=dict(os.environ),
+        )
 
     def changes(self) -> list[str]:
         """Return what is not as it was, each as a clause with its remedy's name; variables that were added are no change."""

@@ -67,9 +67,11 @@ def port_of(plant: Plant) -> Port | None:
     force, pairs = plant.inputs[0].unit, zip(model.C.tolist(), plant.outputs)
     found = [i for i, (row, y) in enumerate(pairs) if row == [1.0, 0.0] and (force, y.unit) in CONJUGATE]
     return Port(
-        mass=mass, damping=0.0 - float(model.A[1, 1]) * mass, stiffness=0.0 - float(model.A[1, 0]) * mass,
+        mass=mass,
+        damping=0.0 - float(model.A[1, 1]) * mass,
+        stiffness=0.0 - float(model.A[1, 0]) * mass,
         output=found[0] if found else None,
-    )  # fmt: skip
+    )
 
 
 def motion_of(plant: Plant, model: LoopModel) -> LoopModel:

@@ -158,10 +158,12 @@ def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> lis
     found = []
     for sensor in (rig.sensors[number] for number in sorted(bus.nodes)):
         values, clock, path = len(sensor.outputs) * sensor.buffer, sensor.clock, path_of(sensor)
-        found.append(OwnPacket(
-            sender=sensor.name, path=path, first=sensor.can_id, values=values, period_ns=clock.every * rig.period_ns,
-            jitter_ns=clock.jitter * rig.period_ns,
-        ))  # fmt: skip
+        found.append(
+            OwnPacket(
+                sender=sensor.name, path=path, first=sensor.can_id, values=values, period_ns=clock.every * rig.period_ns,
+                jitter_ns=clock.jitter * rig.period_ns,
+            )
+        )  # fmt: skip
     if bus.table.control:
         given = rig.links.control_can_id
         first = derived(rig.framing.base, rig.framing.fd).control[0] if given is None else given
@@ -228,10 +230,12 @@ def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[P
     for packet in own_packets(rig, bus, rows):
         for i, size in enumerate(packet.sizes(fd=fd)):
             name = packet.sender if not i else f"{packet.sender}, frame {i + 1}"
-            found.append(PeriodicMessage(
-                name=name, identifier=packet.first + i, length=size, period_ns=packet.period_ns, jitter_ns=packet.jitter_ns,
-                fd=fd, bitrate_switch=fd,
-            ))  # fmt: skip
+            found.append(
+                PeriodicMessage(
+                    name=name, identifier=packet.first + i, length=size, period_ns=packet.period_ns, jitter_ns=packet.jitter_ns,
+                    fd=fd, bitrate_switch=fd,
+                )
+            )  # fmt: skip
     return found + [periodic_message(message, medium) for message in medium.traffic]
 
 

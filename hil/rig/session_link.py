@@ -232,18 +232,22 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
     for number, (sensor, identifiers) in enumerate(zip(sensors, own.sensors, strict=True)):
         outputs, name = [list(units)[i] for i in sensor.outputs], sensor.name if sensor.numbered else ""
         values = tuple((f"{output[: LONGEST_NAME - 4]}_{j}", units[output]) for j in range(sensor.buffer) for output in outputs)
-        senders.append(BusNode(
-            name=f"Sensor_{name if short else number}_" if name else "Sensor", identifiers=identifiers,
-            about=f"Node {number}{' ' + name if name else ''}: {', '.join(outputs)}, each with the number of slots before "
-            "the newest sample; then the references. EMPTY: no sample arrived.",
-            values=(*values, *references), references=len(references),
-        ))  # fmt: skip
+        senders.append(
+            BusNode(
+                name=f"Sensor_{name if short else number}_" if name else "Sensor", identifiers=identifiers,
+                about=f"Node {number}{' ' + name if name else ''}: {', '.join(outputs)}, each with the number of slots before "
+                "the newest sample; then the references. EMPTY: no sample arrived.",
+                values=(*values, *references), references=len(references),
+            )
+        )  # fmt: skip
     inputs = [(signal.name, signal.unit) for signal in rig.inputs]
     rows = tuple((f"{name[: LONGEST_NAME - 5]}_{row}", unit) for row in range(most_rows(rig, framing)) for name, unit in inputs)
-    senders.append(BusNode(
-        name="Control", identifiers=own.control, sensor=False, values=rows,
-        about="Send-all packet that answers slot Seq: input, and the row behind its name; at most these rows.",
-    ))  # fmt: skip
+    senders.append(
+        BusNode(
+            name="Control", identifiers=own.control, sensor=False, values=rows,
+            about="Send-all packet that answers slot Seq: input, and the row behind its name; at most these rows.",
+        )
+    )  # fmt: skip
     return dbc_text(senders, fd=framing.fd, title=f"{rig.name}, packets of hilrig, version 3")
 
 

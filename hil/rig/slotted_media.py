@@ -155,11 +155,15 @@ def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[SharedMedium]) -> S
         unforeseen = str(why)
     waits = slots is not None and slots.waits
     return SensorNodes(
-        names=tuple(s.name for s in sensors), outputs=tuple(s.outputs for s in sensors), buffers=tuple(s.buffer for s in sensors),
-        delays=tuple(_constant_delay(s.law) for s in sensors), turns=turns,
-        silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot" or (s.clock.every > 1 and not waits)), mixed=mixed,
+        names=tuple(s.name for s in sensors),
+        outputs=tuple(s.outputs for s in sensors),
+        buffers=tuple(s.buffer for s in sensors),
+        delays=tuple(_constant_delay(s.law) for s in sensors),
+        turns=turns,
+        silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot" or (s.clock.every > 1 and not waits)),
+        mixed=mixed,
         unforeseen=unforeseen,
-    )  # fmt: skip
+    )
 
 
 def _constant_delay(law: NetworkLaw) -> int | None:

@@ -139,6 +139,9 @@ def _as_logged(sink: MemorySink, loop: Loop, seed: int, **about: Any) -> Run:
     return Run.from_memory(
         sink,
         metadata={"experiment": experiment.name, "seed": str(seed), "clock": "virtual", "link": "memory:"} | experiment.origins(),
-        codes={"reason": list(REASONS), "selection": list(SELECTIONS)}, experiment_text=experiment.text,
-        resolved=experiment.resolved(), certificate=loop.certificate or {}, **about,
-    )  # fmt: skip
+        codes={"reason": list(REASONS), "selection": list(SELECTIONS)},
+        experiment_text=experiment.text,
+        resolved=experiment.resolved(),
+        certificate=loop.certificate or {},
+        **about,
+    )

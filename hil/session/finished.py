@@ -196,11 +196,15 @@ def kept_run(sink: McapSink, provenance: Provenance) -> Run:
     """Return the run with the records that were kept in memory, equal to those of the log."""
     arrays = sink.kept.arrays()
     return Run(
-        arrays=arrays, schemas={topic: sink.kept.schemas[topic] for topic in arrays},
-        events=[decode_event(payload) for payload in sink.kept.events()], metadata=provenance.metadata()["hilrig"],
-        codes={name: list(words) for name, words in provenance.codes.items()}, experiment_text=provenance.experiment_text,
-        resolved=json.loads(to_json(provenance.resolved)), certificate=json.loads(to_json(provenance.certificate or {})),
-    )  # fmt: skip
+        arrays=arrays,
+        schemas={topic: sink.kept.schemas[topic] for topic in arrays},
+        events=[decode_event(payload) for payload in sink.kept.events()],
+        metadata=provenance.metadata()["hilrig"],
+        codes={name: list(words) for name, words in provenance.codes.items()},
+        experiment_text=provenance.experiment_text,
+        resolved=json.loads(to_json(provenance.resolved)),
+        certificate=json.loads(to_json(provenance.certificate or {})),
+    )
 
 
 def read_back(path: Path, *, whole: bool = True, descriptor: int | None = None) -> Run:

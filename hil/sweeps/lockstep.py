@@ -210,8 +210,12 @@ def view_of_batch(loop: Loop, runs: BatchResult) -> BatchView:
         t_s=np.arange(e.slots, dtype=np.int64) * e.period_ns / 1e9,
         outputs=tuple(np.ascontiguousarray(runs.outputs[c][:, runs.known].T) for c in tracked),
         reference=np.ascontiguousarray(runs.reference[:, tracked]),
-        inputs=tuple(np.ascontiguousarray(u[:, runs.known].T) for u in runs.inputs), period_s=float(e.period),
-        signals=signals_of(e.plant), disturbed_at_s=min((float(p.at) for p in e.disturbance), default=None), experiment=e,
-        rig=loop.rig, states=() if runs.states is None else tuple(np.ascontiguousarray(x[:, runs.known].T) for x in runs.states),
+        inputs=tuple(np.ascontiguousarray(u[:, runs.known].T) for u in runs.inputs),
+        period_s=float(e.period),
+        signals=signals_of(e.plant),
+        disturbed_at_s=min((float(p.at) for p in e.disturbance), default=None),
+        experiment=e,
+        rig=loop.rig,
+        states=() if runs.states is None else tuple(np.ascontiguousarray(x[:, runs.known].T) for x in runs.states),
         packets=None if runs.packets is None else runs.packets[:, runs.known],
-    )  # fmt: skip
+    )

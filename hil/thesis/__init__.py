@@ -198,10 +198,12 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: KeptStag
             text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage, seconds: float = seconds
         ) -> None:  # fmt: skip
             part = stage.seconds * min(done / total, 1.0) if total else 0.0
-            progress(Step(
-                stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total,
-                seconds=seconds + part,
-            ))  # fmt: skip
+            progress(
+                Step(
+                    stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total,
+                    seconds=seconds + part,
+                )
+            )  # fmt: skip
 
         report_progress("")
         found = parts[stage.title] = stage.part(report_progress)

@@ -72,10 +72,12 @@ def convergence(settled: dict[str, Array]) -> Plot:
             mean = np.cumsum(values) / count
             spread = np.sqrt(np.maximum(np.cumsum(values**2) / count - mean**2, 0.0))
             series.append(Series(label=name, x=count[9:], y=(mean if kind == "mean" else spread)[9:]))
-        panels.append(Figure(
-            title=f"{title} of the settling time", series=tuple(series), x_label="runs", x_unit="", x_log=True, y_label=kind,
-            y_unit="s", sync=None,
-        ))  # fmt: skip
+        panels.append(
+            Figure(
+                title=f"{title} of the settling time", series=tuple(series), x_label="runs", x_unit="", x_log=True, y_label=kind,
+                y_unit="s", sync=None,
+            )
+        )  # fmt: skip
     return Plot(title="Figure 2.4", panels=tuple(panels))
 
 

@@ -119,9 +119,13 @@ def _boot(order: Mapping[str, Any]) -> int:
     (work / "command").write_bytes(os.fsencode(command))  # arguments need not be text
     modules = [Path(m) for m in order["modules"]]
     init = guest.first_process(
-        work=work, readable=[place for place in order["readable"] if Path(place).is_dir()], writable=order["writable"],
-        modules=modules, python=sys.executable, stdin=stdin,
-    )  # fmt: skip
+        work=work,
+        readable=[place for place in order["readable"] if Path(place).is_dir()],
+        writable=order["writable"],
+        modules=modules,
+        python=sys.executable,
+        stdin=stdin,
+    )
     (work / "init").write_bytes(os.fsencode(init))
     (work / "init").chmod(0o755)
     if not _run_kernel(work, stdin, order):

@@ -223,12 +223,17 @@ def response_times(
         blocking = max((other.length for other in known[place + 1 :]), default=0)
         load += Fraction(own.length, own.period)
         response, instance, left = _slowest(own, higher, blocking, load, rates, errors, left)
-        found.append(ResponseTime(
-            message=own.message, frame_ns=rates.ns(own.length), blocking_ns=rates.ns(blocking),
-            response_ns=None if response is None else rates.ns(response - INTERMISSION * rates.bit),
-            intermission_ns=None if response is None else rates.ns(response), instance=instance,
-            delayed_by=tuple(other.message.name for other in higher),
-        ))  # fmt: skip
+        found.append(
+            ResponseTime(
+                message=own.message,
+                frame_ns=rates.ns(own.length),
+                blocking_ns=rates.ns(blocking),
+                response_ns=None if response is None else rates.ns(response - INTERMISSION * rates.bit),
+                intermission_ns=None if response is None else rates.ns(response),
+                instance=instance,
+                delayed_by=tuple(other.message.name for other in higher),
+            )
+        )
     return found
 
 

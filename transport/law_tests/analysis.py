@@ -104,12 +104,19 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
         shares, unused, overflow, _ = _simulated(law, period_s, deadline_s)
     older = max(0.0, 1.0 - float(shares.sum())) if len(shares) == LONGEST else 0.0
     return LawAnalysis(
-        kind=kind, mode_ages=() if ages is None else tuple(ages), stationary=tuple(stationary.tolist()),
-        mean_bursts=tuple(bursts.tolist()), age_shares=tuple(shares.tolist()),
-        mean_age=float(shares @ np.arange(len(shares))) + older * len(shares) if len(shares) else math.inf, older=older,
-        age_method=method, loss_probability=float(loss) + overflow, overflow=overflow, unused=unused,
+        kind=kind,
+        mode_ages=() if ages is None else tuple(ages),
+        stationary=tuple(stationary.tolist()),
+        mean_bursts=tuple(bursts.tolist()),
+        age_shares=tuple(shares.tolist()),
+        mean_age=float(shares @ np.arange(len(shares))) + older * len(shares) if len(shares) else math.inf,
+        older=older,
+        age_method=method,
+        loss_probability=float(loss) + overflow,
+        overflow=overflow,
+        unused=unused,
         mean_latency_s=mean_latency_s,
-    )  # fmt: skip
+    )
 
 
 def packet_age_shares(law: ChannelLaw, period_s: float, deadline_s: float) -> NDArray[np.float64]:

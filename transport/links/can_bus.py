@@ -45,11 +45,19 @@ def message_of(datagram: bytes, channel: str) -> can.Message:
     """
     time_stamp, _, identifier, length, flags = FRAME.unpack_from(datagram)
     return can.Message(
-        timestamp=time_stamp, arbitration_id=identifier & ID_MASK, is_extended_id=bool(identifier & EXTENDED),
-        is_remote_frame=bool(identifier & REMOTE), is_error_frame=bool(identifier & ERROR), channel=channel, dlc=length,
-        data=bytearray(datagram[FRAME.size :]), is_fd=bool(flags & FDF), is_rx=not flags & OWN, bitrate_switch=bool(flags & BRS),
+        timestamp=time_stamp,
+        arbitration_id=identifier & ID_MASK,
+        is_extended_id=bool(identifier & EXTENDED),
+        is_remote_frame=bool(identifier & REMOTE),
+        is_error_frame=bool(identifier & ERROR),
+        channel=channel,
+        dlc=length,
+        data=bytearray(datagram[FRAME.size :]),
+        is_fd=bool(flags & FDF),
+        is_rx=not flags & OWN,
+        bitrate_switch=bool(flags & BRS),
         error_state_indicator=bool(flags & ESI),
-    )  # fmt: skip
+    )
 
 
 def matches_of(filters: Iterable[Mapping[str, Any]]) -> tuple[tuple[int, int], ...]:

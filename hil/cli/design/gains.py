@@ -215,11 +215,15 @@ def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, An
     )  # fmt: skip
     verdict = on_plant(target, over_network)
     return {
-        "plant": target.plant, "period_s": target.period_s, "local": request.method, "input_weight": rho, "noise": request.noise,
+        "plant": target.plant,
+        "period_s": target.period_s,
+        "local": request.method,
+        "input_weight": rho,
+        "noise": request.noise,
         "law": {"A": law.A.tolist(), "B": law.B.tolist(), "C": law.C.tolist(), "D": law.D.tolist()},
         "without_network": {"h2": alone["h2_norm"], "hinf": alone["hinf_norm"], "radius": alone["number"]},
         "verdict": verdict.to_json(),
-    }  # fmt: skip
+    }
 
 
 def show_local(document: dict[str, Any]) -> None:

@@ -242,12 +242,19 @@ class _Reading:
         check_words(head, resolved, summary, certificate)
         text = content.attachments.get("experiment.toml")
         return Run(
-            arrays=Arrays(columns), schemas=schemas, events=self._events, metadata=head,
-            versions=content.metadata.get("versions", {}), session=content.metadata.get("session", {}),
+            arrays=Arrays(columns),
+            schemas=schemas,
+            events=self._events,
+            metadata=head,
+            versions=content.metadata.get("versions", {}),
+            session=content.metadata.get("session", {}),
             codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},
-            experiment_text=text.data.decode(errors="replace") if text is not None else "", resolved=resolved,
-            certificate=certificate, summary=summary, start_ns=start_of(content),
-        )  # fmt: skip
+            experiment_text=text.data.decode(errors="replace") if text is not None else "",
+            resolved=resolved,
+            certificate=certificate,
+            summary=summary,
+            start_ns=start_of(content),
+        )
 
 
 def start_of(content: Content) -> int:

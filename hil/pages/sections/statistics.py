@@ -134,11 +134,15 @@ def _transitions(found: Mapping[str, Any], law: NetworkLaw | None, title: str, s
     fits = stated is not None and stated.shape == counts.shape
     names = [str(i) for i in range(len(counts))]
     return Matrix(
-        title=title, rows=[f"{name}  ({text_of(int(n))}×)" for name, n in zip(names, totals[:, 0])], columns=names,
-        values=shares.tolist(), expected=stated.tolist() if fits and stated is not None else None,
-        row_label=f"{symbol} in slot k", column_label="k + 1",
+        title=title,
+        rows=[f"{name}  ({text_of(int(n))}×)" for name, n in zip(names, totals[:, 0])],
+        columns=names,
+        values=shares.tolist(),
+        expected=stated.tolist() if fits and stated is not None else None,
+        row_label=f"{symbol} in slot k",
+        column_label="k + 1",
         note="Counted share of each row" + (", beneath it what the law states." if fits else "."),
-    )  # fmt: skip
+    )
 
 
 def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
@@ -228,6 +232,14 @@ def _histogram(values: npt.NDArray[np.float64], marks: Mapping[str, float | None
     names = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}
     lines = [Marker(x=v, label=f"{names[q]} {text_of(v, 3)}") for q, v in marks.items() if q in names and v is not None]
     return Histogram(
-        title=title, edges=edges, counts=np.histogram(finite, edges)[0], markers=tuple(lines), x_label=title.lower(), x_unit="µs",
-        y_label="slots", x_log=wide, y_log=True, colour=colour,
-    )  # fmt: skip
+        title=title,
+        edges=edges,
+        counts=np.histogram(finite, edges)[0],
+        markers=tuple(lines),
+        x_label=title.lower(),
+        x_unit="µs",
+        y_label="slots",
+        x_log=wide,
+        y_log=True,
+        colour=colour,
+    )

@@ -99,10 +99,15 @@ def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
         rows: list[list[Cell]] = [
             [_row_label(q), metrics[q.name], *(o.get(q.name) for o in outputs.values())] for q in quantities
         ]
-        tables.append(Table(
-            title=measure.title, columns=["metric", "all outputs" if outputs else "value", *columns], rows=rows,
-            wide=bool(outputs), note=measure.note + (" The unit is that of the column." if several else ""),
-        ))  # fmt: skip
+        tables.append(
+            Table(
+                title=measure.title,
+                columns=["metric", "all outputs" if outputs else "value", *columns],
+                rows=rows,
+                wide=bool(outputs),
+                note=measure.note + (" The unit is that of the column." if several else ""),
+            )
+        )
     log = summary.get("log")
     if log:
         tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))

@@ -79,17 +79,19 @@ def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.n
         if many is not None:
             low, high = np.percentile(many[:, :, c], (2.5, 97.5), axis=0)
             bands.append(Band(label=f"95 % of {len(many)} more runs", x=t, lower=low, upper=high, colour=0))
-        blocks.append(Figure(
-            title=f"Tracking error of {name.replace('_', ' ')}",
-            series=(
-                Series(label="predicted mean", x=t, y=mean, style="dashed", colour=2),
-                Series(label="this run", x=t, y=error[:, c], colour=1),
-            ),
-            bands=tuple(bands),
-            y_label="error",
-            y_unit=view.signals.outputs[name],
-            height_px=280,
-        ))  # fmt: skip
+        blocks.append(
+            Figure(
+                title=f"Tracking error of {name.replace('_', ' ')}",
+                series=(
+                    Series(label="predicted mean", x=t, y=mean, style="dashed", colour=2),
+                    Series(label="this run", x=t, y=error[:, c], colour=1),
+                ),
+                bands=tuple(bands),
+                y_label="error",
+                y_unit=view.signals.outputs[name],
+                height_px=280,
+            )
+        )
     return blocks
 
 

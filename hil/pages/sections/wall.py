@@ -108,18 +108,22 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Block]:
     ]  # fmt: skip
     if state is not None and _gave(view):
         energy = curve(state, lambda some: 1e3 * some["given"], label="energy given", colour=4)
-        found.append(Figure(
-            title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
-            note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler, but for what is "
-            "stored where the device begins behind the surface.",
-        ))  # fmt: skip
+        found.append(
+            Figure(
+                title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
+                note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler, but for what is "
+                "stored where the device begins behind the surface.",
+            )
+        )  # fmt: skip
     damper = run.arrays.get(PASSIVITY.name)
     if damper is not None and np.nanmax(damper["damping"], initial=0.0) > 0.0:
         injected = curve(damper, "damping", label="injected damping", style="step", colour=5)
-        found.append(Figure(
-            title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
-            note="The force that the rig added while the motor had given more energy than allowed.",
-        ))  # fmt: skip
+        found.append(
+            Figure(
+                title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
+                note="The force that the rig added while the motor had given more energy than allowed.",
+            )
+        )  # fmt: skip
     return found
 
 

@@ -208,6 +208,9 @@ class AnswerMatcher:
     def outcome(self) -> dict[str, int | None]:
         """Return the counters that the summary needs."""
         return {
-            "late": self.late, "first_late_slot": self.first_late, "malformed": self.malformed, "foreign": self.foreign,
+            "late": self.late,
+            "first_late_slot": self.first_late,
+            "malformed": self.malformed,
+            "foreign": self.foreign,
             "refused": self.refused,
-        }  # fmt: skip
+        }

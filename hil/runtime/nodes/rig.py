@@ -187,9 +187,11 @@ class Rig:
 
     def _frame(self, k: int, nonce: int, flags: int, node: int, g: int, y: tuple[float, ...]) -> bytes:
         self._counter += 1
-        return encode_sensor(SensorPacket(
-            k, flags, g * self._period_ns, y, node, self._samples[node], self._r, len(self._sensors), nonce, self._counter
-        ))  # fmt: skip
+        return encode_sensor(
+            SensorPacket(
+                k, flags, g * self._period_ns, y, node, self._samples[node], self._r, len(self._sensors), nonce, self._counter
+            )
+        )
 
     def _frames(self, k: int, nonce: int) -> list[bytes]:
         sent, reference = self._sent, self._r

@@ -67,10 +67,13 @@ class Child:
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self._process = subprocess.Popen(
-                python_module(__name__, module, *folders), stdin=subprocess.PIPE,
-                stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL, pass_fds=pass_fds,
-                start_new_session=True, env=_environment(),
-            )  # fmt: skip
+                python_module(__name__, module, *folders),
+                stdin=subprocess.PIPE,
+                stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
+                pass_fds=pass_fds,
+                start_new_session=True,
+                env=_environment(),
+            )
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         assert self._process.stdin is not None

@@ -204,9 +204,14 @@ def _run(job: Job) -> None:
             if not stopped:
                 real.rig.compare(None if node is None else node.departed)
         sink.event(
-            max(real.rig.k, 0) * job.loop.experiment.period_ns, "outcome", "rig ended", **real.rig.outcome(), scheduler=scheduler,
-            overruns=real.overruns, link=structs.asdict(link.counters),
-        )  # fmt: skip
+            max(real.rig.k, 0) * job.loop.experiment.period_ns,
+            "outcome",
+            "rig ended",
+            **real.rig.outcome(),
+            scheduler=scheduler,
+            overruns=real.overruns,
+            link=structs.asdict(link.counters),
+        )
         sink.commit()
         leave_real_time()
         end_after(CLOSES_S, FAILED if failed else STOPPED if stopped else ENDED)
