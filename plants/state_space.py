@@ -248,9 +248,13 @@ class TransferFunction:
 
 
 def from_control(
-    system: control.StateSpace | control.TransferFunction, *, inputs: Sequence[Signal] = (), outputs: Sequence[Signal] = (),
-    states: Sequence[Signal] = (), initial_state: Sequence[float] = (),
-) -> LinearPlant:  # fmt: skip
+    system: control.StateSpace | control.TransferFunction,
+    *,
+    inputs: Sequence[Signal] = (),
+    outputs: Sequence[Signal] = (),
+    states: Sequence[Signal] = (),
+    initial_state: Sequence[float] = (),
+) -> LinearPlant:
     """Return the plant that a python-control model describes.
 
     Args:

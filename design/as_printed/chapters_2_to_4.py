@@ -49,9 +49,13 @@ LARGEST = 1e6
 
 
 def _program(
-    system: JumpSystem | DelayedJumpSystem, conditions: Mapping[str, Sequence[tuple[Callable[..., Array], Sequence[str]]]],
-    shared: Sequence[str], gains: Mapping[str, Array] | None, gain_bound: float, scale: float,
-) -> LmiProgram:  # fmt: skip
+    system: JumpSystem | DelayedJumpSystem,
+    conditions: Mapping[str, Sequence[tuple[Callable[..., Array], Sequence[str]]]],
+    shared: Sequence[str],
+    gains: Mapping[str, Array] | None,
+    gain_bound: float,
+    scale: float,
+) -> LmiProgram:
     """A condition per place and corner of the rates: a block on X and U = K X there, the shared matrices and X where jumps land.
 
     The gains are given by place, or left free within their bound.
@@ -102,9 +106,18 @@ def _corners(
 
 
 def _delayed_block(
-    x: Array, u: Array, g2: Array, q: Array, *landing: Array, system: DelayedJumpSystem, mode: int, total: float,
-    pairs: list[tuple[float, float]], held: tuple[float, float], scale: float,
-) -> Array:  # fmt: skip
+    x: Array,
+    u: Array,
+    g2: Array,
+    q: Array,
+    *landing: Array,
+    system: DelayedJumpSystem,
+    mode: int,
+    total: float,
+    pairs: list[tuple[float, float]],
+    held: tuple[float, float],
+    scale: float,
+) -> Array:
     """(3.42) at one corner.
 
     Args:
@@ -126,9 +139,16 @@ def _delayed_block(
 
 
 def delayed_section(
-    system: DelayedJumpSystem, process: SemiMarkov, sections: Partition, m: int, gain: ScheduledGain | None, *,
-    reading: Reading = "literal", gain_bound: float = math.inf, gamma: float | None = None,
-) -> JumpCertificate:  # fmt: skip
+    system: DelayedJumpSystem,
+    process: SemiMarkov,
+    sections: Partition,
+    m: int,
+    gain: ScheduledGain | None,
+    *,
+    reading: Reading = "literal",
+    gain_bound: float = math.inf,
+    gamma: float | None = None,
+) -> JumpCertificate:
     """The printed condition of section m (from 0): smallest gamma, or the verdict at one; gains free if ``gain`` is None.
 
     Never sound. Raises ValueError if the data do not fit.
@@ -175,9 +195,17 @@ def inequality_at(
 
 
 def detection_section(
-    system: JumpSystem, process: FaultDetection, eta_sections: Partition, r_sections: Partition, m: int, gains: Array | None, *,
-    gain_bound: float = math.inf, vertices: bool = False, gamma: float | None = None,
-) -> JumpCertificate:  # fmt: skip
+    system: JumpSystem,
+    process: FaultDetection,
+    eta_sections: Partition,
+    r_sections: Partition,
+    m: int,
+    gains: Array | None,
+    *,
+    gain_bound: float = math.inf,
+    vertices: bool = False,
+    gamma: float | None = None,
+) -> JumpCertificate:
     """Condition (4.27) of section m (from 0; (4.26) with one section): smallest gamma, or the verdict at one.
 
     Args:
@@ -215,7 +243,12 @@ FALSE = "jumps from section m land in section m of the next mode and sections ar
 
 
 def printed_stability(
-    system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov, *, nodes: Partition | None = None, decay: float = 0.0
+    system: JumpSystem,
+    gain: ScheduledGain | None,
+    process: SemiMarkov,
+    *,
+    nodes: Partition | None = None,
+    decay: float = 0.0,
 ) -> JumpCertificate:
     """What the printed conditions say of the loop u = K(i, h) x; a certificate with ``sound = False``, whatever it says.
 

@@ -140,9 +140,14 @@ class GainRows:
     """
 
     def __init__(
-        self, K: Matrix, selection: Selection, model: LoopModel, integral: bool = False, sojourns: Sequence[int] = (),
+        self,
+        K: Matrix,
+        selection: Selection,
+        model: LoopModel,
+        integral: bool = False,
+        sojourns: Sequence[int] = (),
         limit: Sequence[float] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.selection = selection
         self._limit = tuple(map(float, limit))
         self._sum = [0.0] * model.C.shape[0] if integral else []

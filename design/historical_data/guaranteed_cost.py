@@ -72,9 +72,15 @@ def cost(loop: LiftedLoop, start: Start) -> float:
 
 
 def certify_cost(
-    plant: DelayedPlant, gains: Array, start: Start, transition: Array | None = None, *, history: Array | None = None,
-    deviation: Array | None = None, renewed: Renewed = None,
-) -> Verdict:  # fmt: skip
+    plant: DelayedPlant,
+    gains: Array,
+    start: Start,
+    transition: Array | None = None,
+    *,
+    history: Array | None = None,
+    deviation: Array | None = None,
+    renewed: Renewed = None,
+) -> Verdict:
     """Return the verdict on scheduled gains: the growth of E|X|^2 per slot, and the cost.
 
     Args:
@@ -170,9 +176,13 @@ def run_from(
 
 
 def stationary_cost(
-    plant: DelayedPlant, gains: Array, deviation: npt.ArrayLike, transition: Array | None = None, phases: Array | None = None,
+    plant: DelayedPlant,
+    gains: Array,
+    deviation: npt.ArrayLike,
+    transition: Array | None = None,
+    phases: Array | None = None,
     renewed: Renewed = None,
-) -> float:  # fmt: skip
+) -> float:
     """Return E x' Xi x + u' Xi_u u per slot, in the mean over time, once the start is forgotten.
 
     The covariance of (X, Y) is the sum of what the draws of all slots so far have come to.

@@ -30,7 +30,12 @@ MOST_NODES = 6
 
 
 def synthesise(
-    plant: DelayedPlant, mask: Mask, start: Start, *, transition: Array | None = None, initial: Array | None = None
+    plant: DelayedPlant,
+    mask: Mask,
+    start: Start,
+    *,
+    transition: Array | None = None,
+    initial: Array | None = None,
 ) -> Array:
     """Return gains of least cost under a mask, by quasi-Newton descent with the exact gradient.
 

@@ -79,9 +79,16 @@ class Certificate(Struct, frozen=True, kw_only=True):
 
 
 def certify_system(
-    system: MJLS, *, selection: str = "", output: str = "", initial: npt.ArrayLike | None = None, initial_law: str = "",
-    between: tuple[Array, Array] | None = None, stays: Sequence[Array] = (), hinf: bool = False,
-) -> Certificate:  # fmt: skip
+    system: MJLS,
+    *,
+    selection: str = "",
+    output: str = "",
+    initial: npt.ArrayLike | None = None,
+    initial_law: str = "",
+    between: tuple[Array, Array] | None = None,
+    stays: Sequence[Array] = (),
+    hinf: bool = False,
+) -> Certificate:
     """Certify a jump-linear system: radius, norms and inequality margins.
 
     Where a mode stands for many whose transition probabilities differ, (7.17) is taken at the entrywise upper bounds:

@@ -220,9 +220,14 @@ def solve_coupled(M: Array, factors: Factors, G: Array, *, tolerance: float = 1e
 
 
 def solve_bordered(
-    M: Array, factors: Factors, G: tuple[Array, Array], functional: Array, level: tuple[float, float], *,
+    M: Array,
+    factors: Factors,
+    G: tuple[Array, Array],
+    functional: Array,
+    level: tuple[float, float],
+    *,
     near: Array | None = None,
-) -> tuple[Array, float] | None:  # fmt: skip
+) -> tuple[Array, float] | None:
     """Return Y (N, n, n) and t with Y = W (M Y M') + G_0 + t G_1 and <H, Y> = c_0 + t c_1, or None where none were found.
 
     Args:

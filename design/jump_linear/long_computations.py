@@ -29,7 +29,13 @@ ACCEPTABLE = 1e-9
 """Residual that will do where rounding lets it fall no further."""
 
 
-def gmres(apply: Callable[[Array], Array], right: Array, *, tolerance: float = 1e-13, start: Array | None = None) -> Array | None:
+def gmres(
+    apply: Callable[[Array], Array],
+    right: Array,
+    *,
+    tolerance: float = 1e-13,
+    start: Array | None = None,
+) -> Array | None:
     """Return x with apply(x) = right, or None if it was not found within `PRODUCTS` products.
 
     scipy's GMRES spends two thirds of its time in Python around products of 20 to 50 us, and on the edge of stability it runs for

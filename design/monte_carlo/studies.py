@@ -102,9 +102,16 @@ class _Study:
 
 
 def settling_times(
-    loop: JumpLoop, runs: int, *, duration_s: float, dt_s: float = 0.01, band: float = 0.015, seed: int = 0, first: int = 0,
+    loop: JumpLoop,
+    runs: int,
+    *,
+    duration_s: float,
+    dt_s: float = 0.01,
+    band: float = 0.015,
+    seed: int = 0,
+    first: int = 0,
     workers: Workers = ONE_CORE,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Settling times (2.28): the first grid time from which on |x(t)|_2 <= band |x(0)|_2 up to the end.
 
     The states are exact at every grid point. Segments that provably stay inside the band are not evaluated.
@@ -138,7 +145,13 @@ def _sum_over_runs(study: _Study, runs: int, chunk: int) -> FloatArray:
 
 
 def mean_states(
-    loop: JumpLoop, runs: int, *, duration_s: float, dt_s: float = 0.01, seed: int = 0, workers: Workers = ONE_CORE
+    loop: JumpLoop,
+    runs: int,
+    *,
+    duration_s: float,
+    dt_s: float = 0.01,
+    seed: int = 0,
+    workers: Workers = ONE_CORE,
 ) -> FloatArray:
     """Average trajectory E x on the grid (Figure 2.4a), shape (grid points, n); arguments as ``settling_times``."""
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
@@ -187,9 +200,16 @@ class _ChainEnergies:
 
 
 def mjls_energies(
-    system: MJLS, runs: int, steps: int, *, start: npt.ArrayLike, initial: npt.ArrayLike | None = None, seed: int = 0,
-    first: int = 0, workers: Workers = ONE_CORE,
-) -> FloatArray:  # fmt: skip
+    system: MJLS,
+    runs: int,
+    steps: int,
+    *,
+    start: npt.ArrayLike,
+    initial: npt.ArrayLike | None = None,
+    seed: int = 0,
+    first: int = 0,
+    workers: Workers = ONE_CORE,
+) -> FloatArray:
     """Return the sum of |z(k)|^2 over k < K of many runs of a jump-linear system, (runs,), the same numbers for every split.
 
     Args:

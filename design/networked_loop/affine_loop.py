@@ -136,9 +136,16 @@ class LoopStructure(Struct, frozen=True):
 
 
 def wired(
-    plant: tuple[Array, Array, Array], sc: DelayChain, ca: DelayChain, selection: str, *, own: tuple[Array, Array],
-    samples: int = 1, weighs_input: bool = False, store: Literal["output", "state"] = "output",
-) -> LoopStructure:  # fmt: skip
+    plant: tuple[Array, Array, Array],
+    sc: DelayChain,
+    ca: DelayChain,
+    selection: str,
+    *,
+    own: tuple[Array, Array],
+    samples: int = 1,
+    weighs_input: bool = False,
+    store: Literal["output", "state"] = "output",
+) -> LoopStructure:
     """Return the loop without a z: C is (N, 0, order).
 
     Args:

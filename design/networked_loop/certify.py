@@ -19,11 +19,22 @@ from design.processes.delay_chain import Array, DelayChain
 
 
 def certify_loop(
-    A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, Lambda: DelayChain | npt.ArrayLike, Pi: DelayChain | npt.ArrayLike,
-    gains: npt.ArrayLike, selection: Selection | str = "generated", Q: npt.ArrayLike | None = None,
-    R: npt.ArrayLike | None = None, *, output: str = "stacked", samples: int = 1, integral: float = 0.0,
-    initial: npt.ArrayLike | None = None, hinf: bool = False,
-) -> Certificate:  # fmt: skip
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    Lambda: DelayChain | npt.ArrayLike,
+    Pi: DelayChain | npt.ArrayLike,
+    gains: npt.ArrayLike,
+    selection: Selection | str = "generated",
+    Q: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    *,
+    output: str = "stacked",
+    samples: int = 1,
+    integral: float = 0.0,
+    initial: npt.ArrayLike | None = None,
+    hinf: bool = False,
+) -> Certificate:
     """Certify gains over a network: radius, norms and inequality margins of the loop (7.14).
 
     Args:
@@ -88,9 +99,14 @@ class LowerBounds(NamedTuple):
 
 
 def lower_bounds(
-    A: Array, B: Array, Q: Array, sc: DelayChain, ca: DelayChain, initial: npt.ArrayLike | None = None,
+    A: Array,
+    B: Array,
+    Q: Array,
+    sc: DelayChain,
+    ca: DelayChain,
+    initial: npt.ArrayLike | None = None,
     present: npt.ArrayLike | None = None,
-) -> LowerBounds:  # fmt: skip
+) -> LowerBounds:
     """Lower bounds for plant (A, B), weight Q (l, n) of the state, and the two delay chains.
 
     A unit impulse w(0) enters in a random direction, and then nothing: x(1) = B w(0). A controller that is linear in what

@@ -44,11 +44,20 @@ SELECTIONS: tuple[str, ...] = get_args(Selection)
 
 
 def loop_structure(
-    A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, sc: DelayChain | npt.ArrayLike, ca: DelayChain | npt.ArrayLike,
-    selection: Selection | str = "generated", *, Q: npt.ArrayLike | None = None, R: npt.ArrayLike | None = None,
-    output: Literal["stacked", "sum"] = "stacked", samples: int = 1, integral: float = 0.0,
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    sc: DelayChain | npt.ArrayLike,
+    ca: DelayChain | npt.ArrayLike,
+    selection: Selection | str = "generated",
+    *,
+    Q: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    output: Literal["stacked", "sum"] = "stacked",
+    samples: int = 1,
+    integral: float = 0.0,
     store: Literal["output", "state"] = "output",
-) -> LoopStructure:  # fmt: skip
+) -> LoopStructure:
     """Augment plant, network and information pattern to the jump-linear loop (7.14).
 
     Args:
@@ -94,9 +103,17 @@ def loop_structure(
 
 
 def _performance_output(
-    C: Array, m: int, order: int, *, Q: npt.ArrayLike | None, R: npt.ArrayLike | None, output: str, input_at: int,
-    integral: float, integral_at: int,
-) -> Array:  # fmt: skip
+    C: Array,
+    m: int,
+    order: int,
+    *,
+    Q: npt.ArrayLike | None,
+    R: npt.ArrayLike | None,
+    output: str,
+    input_at: int,
+    integral: float,
+    integral_at: int,
+) -> Array:
     """Weights of the closed-loop state in z(k).
 
     It is z = [Q x; R u1], or the sum Q x + R u1 that (7.14c) prints.
@@ -142,9 +159,16 @@ def _performance_output(
 
 
 def dynamic_loop(
-    A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, sc: DelayChain, ca: DelayChain, laws: LinearLaw | Sequence[RowsLaw],
-    selection: str = "constant", *, input_weight: float = 0.01,
-) -> tuple[LoopStructure, Array]:  # fmt: skip
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    sc: DelayChain,
+    ca: DelayChain,
+    laws: LinearLaw | Sequence[RowsLaw],
+    selection: str = "constant",
+    *,
+    input_weight: float = 0.01,
+) -> tuple[LoopStructure, Array]:
     """Return the loop of a plant, two delay chains and a linear controller, and the gains [Dc Cc] by which it is this loop.
 
     z = [C x; input_weight u], w adds to u.

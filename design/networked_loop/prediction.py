@@ -53,13 +53,26 @@ class Prediction:
 
 
 def predict_tracking(
-    A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, Lambda: DelayChain | npt.ArrayLike, Pi: DelayChain | npt.ArrayLike,
-    gains: npt.ArrayLike, selection: Selection | str, reference: npt.ArrayLike, *, period_s: float,
-    target: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None,
-    initial: tuple[npt.ArrayLike, npt.ArrayLike] | None = None, x0: npt.ArrayLike | None = None,
-    drive: npt.ArrayLike | None = None, tracked: Sequence[int] | None = None, samples: int = 1, integral: bool = False,
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    Lambda: DelayChain | npt.ArrayLike,
+    Pi: DelayChain | npt.ArrayLike,
+    gains: npt.ArrayLike,
+    selection: Selection | str,
+    reference: npt.ArrayLike,
+    *,
+    period_s: float,
+    target: npt.ArrayLike | None = None,
+    disturbance: npt.ArrayLike | None = None,
+    initial: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    x0: npt.ArrayLike | None = None,
+    drive: npt.ArrayLike | None = None,
+    tracked: Sequence[int] | None = None,
+    samples: int = 1,
+    integral: bool = False,
     sums_from: tuple[int, ...] = (0,),
-) -> Prediction:  # fmt: skip
+) -> Prediction:
     """Predict the tracking error of an experiment.
 
     Args:

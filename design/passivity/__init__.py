@@ -167,7 +167,11 @@ class HapticLoop:
         return out
 
     def jump_system(
-        self, materials: Sequence[Material], material_chain: npt.ArrayLike, sc: DelayChain | int, ca: DelayChain | int
+        self,
+        materials: Sequence[Material],
+        material_chain: npt.ArrayLike,
+        sc: DelayChain | int,
+        ca: DelayChain | int,
     ) -> MJLS:
         """Return the loop as a jump-linear system from the push in N to the position in m.
 

@@ -53,9 +53,16 @@ ROUNDING = 1e-9
 
 
 def certify_wall(
-    *, device: HeldDevice, wall: Wall, coupler: Coupler, period_s: float, sc: DelayChain | int, ca: DelayChain | int,
-    equalised: bool = False, saturates_n: float = math.inf,
-) -> Verdict:  # fmt: skip
+    *,
+    device: HeldDevice,
+    wall: Wall,
+    coupler: Coupler,
+    period_s: float,
+    sc: DelayChain | int,
+    ca: DelayChain | int,
+    equalised: bool = False,
+    saturates_n: float = math.inf,
+) -> Verdict:
     """Say what is proved of a wall that is felt through a network.
 
     Args:

@@ -24,9 +24,17 @@ MOST_STEPS = 20_000
 
 
 def follow_wall(
-    wall: Wall, device: HeldDevice, *, period_s: float, sc: int, ca: int, material_chain: npt.ArrayLike,
-    force_weight: float = 1e-7, hand_step_n: float = 0.05, noise_m: float = 1e-5,
-) -> ModelFollowing:  # fmt: skip
+    wall: Wall,
+    device: HeldDevice,
+    *,
+    period_s: float,
+    sc: int,
+    ca: int,
+    material_chain: npt.ArrayLike,
+    force_weight: float = 1e-7,
+    hand_step_n: float = 0.05,
+    noise_m: float = 1e-5,
+) -> ModelFollowing:
     """Return the gains for one hand and constant delays.
 
     Args:

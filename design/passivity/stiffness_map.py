@@ -106,9 +106,13 @@ class StiffnessCell:
 
 
 def stiffness_map(
-    *, mass_kg: float, damping_n_s_per_m: float, periods_s: Sequence[float], delays: Sequence[int],
+    *,
+    mass_kg: float,
+    damping_n_s_per_m: float,
+    periods_s: Sequence[float],
+    delays: Sequence[int],
     hands_n_s_per_m: Sequence[float],
-) -> tuple[StiffnessCell, ...]:  # fmt: skip
+) -> tuple[StiffnessCell, ...]:
     """Return every cell of a map, by period, delay and hand.
 
     Args:

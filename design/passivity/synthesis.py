@@ -88,9 +88,15 @@ def ceiling_n_per_m(period_s: float, damping_n_s_per_m: float, delay: int) -> fl
 
 
 def stiffest_coupler(
-    delays: Iterable[int], *, period_s: float, damping_n_s_per_m: float, taps: int | None = None,
-    stiffness_n_per_m: float | None = None, varying: bool = False, weight: Weight | None = None,
-) -> CouplerDesign:  # fmt: skip
+    delays: Iterable[int],
+    *,
+    period_s: float,
+    damping_n_s_per_m: float,
+    taps: int | None = None,
+    stiffness_n_per_m: float | None = None,
+    varying: bool = False,
+    weight: Weight | None = None,
+) -> CouplerDesign:
     """Return the coupler of least static compliance that meets the condition for every delay of a set.
 
     Args:

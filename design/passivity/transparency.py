@@ -64,7 +64,13 @@ def low_pass(cutoff_hz: float, period_s: float) -> tuple[float, float]:
 
 
 def distortion(
-    materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, period_s: float, delay: int, cutoff_hz: float
+    materials: Sequence[Material],
+    transition: npt.ArrayLike,
+    coupler: Coupler,
+    *,
+    period_s: float,
+    delay: int,
+    cutoff_hz: float,
 ) -> MJLS:
     """Return the jump-linear system from the position omega in m to the weighted error z of the force in N.
 

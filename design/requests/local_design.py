@@ -35,7 +35,13 @@ ABOVE = 1.05
 
 
 def local_design(
-    A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, method: LocalMethod, *, input_weight: float = 0.01, noise: float = 0.01
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    method: LocalMethod,
+    *,
+    input_weight: float = 0.01,
+    noise: float = 0.01,
 ) -> LinearLaw:
     """Return a controller for a plant without a network.
 

@@ -82,9 +82,13 @@ class JumpCertificate:
 
 
 def attenuation_certificate(
-    find: Callable[[], Attenuation], *, method: Method, gain: ScheduledGain | None = None, assumptions: tuple[str, ...],
+    find: Callable[[], Attenuation],
+    *,
+    method: Method,
+    gain: ScheduledGain | None = None,
+    assumptions: tuple[str, ...],
     rebuild: Callable[..., list[Inequality]] | None = None,
-) -> JumpCertificate:  # fmt: skip
+) -> JumpCertificate:
     """What a search for an attenuation says: the matrices that it found, or why there are none.
 
     Args:

@@ -53,9 +53,15 @@ def fastest_exit(process: SemiMarkov, nodes: Partition) -> float:
 
 
 def delayed_inequalities(
-    system: DelayedJumpSystem, process: SemiMarkov, gain: ScheduledGain, nodes: Partition, method: Method, scale: float,
-    gamma: float | None, lift: Lift = as_float,
-) -> list[Inequality]:  # fmt: skip
+    system: DelayedJumpSystem,
+    process: SemiMarkov,
+    gain: ScheduledGain,
+    nodes: Partition,
+    method: Method,
+    scale: float,
+    gamma: float | None,
+    lift: Lift = as_float,
+) -> list[Inequality]:
     """Every inequality on P[i,r], Q and, where gamma is not known, g2 = (scale gamma)^2; z scaled by ``scale``."""
     change = partial(_bounded_real, system=system, eta=fastest_exit(process, nodes), scale=scale, lift=lift)
     out = along_cells([change], process, gain, nodes, method, shared=("Q", "g2"), lift=lift)
@@ -63,9 +69,18 @@ def delayed_inequalities(
 
 
 def _bounded_real(
-    cell: Cell, k: Array, flow: Array, p: Array, q: Array, g2: Array, *, system: DelayedJumpSystem, eta: float, scale: float,
+    cell: Cell,
+    k: Array,
+    flow: Array,
+    p: Array,
+    q: Array,
+    g2: Array,
+    *,
+    system: DelayedJumpSystem,
+    eta: float,
+    scale: float,
     lift: Lift,
-) -> Array:  # fmt: skip
+) -> Array:
     i = cell.mode
     a, b, ad, e, c = (lift(m[i]) for m in (system.a, system.b, system.ad, system.e, system.c))
     held = 1 + lift(eta) * lift(system.delay_max_s)
@@ -75,9 +90,14 @@ def _bounded_real(
 
 
 def analyse_delayed(
-    system: DelayedJumpSystem, gain: ScheduledGain, process: SemiMarkov, *, method: Method = "pwc",
-    nodes: Partition | None = None, gamma: float | None = None,
-) -> JumpCertificate:  # fmt: skip
+    system: DelayedJumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov,
+    *,
+    method: Method = "pwc",
+    nodes: Partition | None = None,
+    gamma: float | None = None,
+) -> JumpCertificate:
     """The smallest gamma that is certified for given gains, or the verdict at a given gamma.
 
     Args:
@@ -141,9 +161,13 @@ def _synthesis_block(
 
 
 def delayed_hinf(
-    system: DelayedJumpSystem, process: SemiMarkov, *, gain_bound: float, sections: Partition | None = None,
+    system: DelayedJumpSystem,
+    process: SemiMarkov,
+    *,
+    gain_bound: float,
+    sections: Partition | None = None,
     gamma: float | None = None,
-) -> JumpCertificate:  # fmt: skip
+) -> JumpCertificate:
     """State feedback K(i, m) with the smallest certified gamma under a gain bound, or at a given gamma.
 
     Args:

@@ -55,9 +55,14 @@ def _failed(system: JumpSystem, share: float) -> JumpSystem:
 
 
 def _start_program(
-    system: JumpSystem, process: FaultDetection, measured: Measured, sections: Partition, gain_bound: float,
-    performance: Siqc | None, scale: float,
-) -> LmiProgram:  # fmt: skip
+    system: JumpSystem,
+    process: FaultDetection,
+    measured: Measured,
+    sections: Partition,
+    gain_bound: float,
+    performance: Siqc | None,
+    scale: float,
+) -> LmiProgram:
     """The X form of (4.26), vertex by vertex, on X[mode,section], R[mode,section], s and g2."""
     program = LmiProgram()
     program.matrix("s", 1, 1)
@@ -84,9 +89,16 @@ def _start_program(
 
 
 def inverse_block(
-    x: Array, r: Array, *rest: Array, system: JumpSystem, mode: int, leaving: float, rates: list[float], scale: float,
+    x: Array,
+    r: Array,
+    *rest: Array,
+    system: JumpSystem,
+    mode: int,
+    leaving: float,
+    rates: list[float],
+    scale: float,
     performance: Siqc | None = None,
-) -> Array:  # fmt: skip
+) -> Array:
     """The left side of (4.26) in X = P^-1 and R = K X; ``rest``: g2 without a SIQC, then the X that jumps land in."""
     a, b, c, e = (m[mode] for m in (system.a, system.b, system.c, system.e) if m is not None)
     landing = rest[len(rest) - len(rates) :]
@@ -125,10 +137,17 @@ def _norm_limit(k: Array, bound: float) -> Array:
 
 
 def fault_tolerant_feedback(
-    system: JumpSystem, process: FaultDetection, *, gain_bound: float, measured: Measured = ("r",),
-    sections: Partition | None = None, eta_nodes: Partition | None = None, gamma: float | None = None,
-    performance: Siqc | None = None, rounds: int = 8,
-) -> JumpCertificate:  # fmt: skip
+    system: JumpSystem,
+    process: FaultDetection,
+    *,
+    gain_bound: float,
+    measured: Measured = ("r",),
+    sections: Partition | None = None,
+    eta_nodes: Partition | None = None,
+    gamma: float | None = None,
+    performance: Siqc | None = None,
+    rounds: int = 8,
+) -> JumpCertificate:
     """Gains K(what is measured, section of r's clock) with the smallest certified gamma under a gain bound.
 
     Args:

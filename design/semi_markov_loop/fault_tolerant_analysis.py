@@ -80,9 +80,15 @@ def check_loop(system: JumpSystem, process: FaultDetection, gain: ScheduledGain 
 
 
 def loop_inequalities(
-    system: JumpSystem, process: FaultDetection, gain: ScheduledGain, eta_nodes: Partition, r_nodes: Partition,
-    performance: Siqc | None, scale: float, lift: Lift = as_float,
-) -> list[Inequality]:  # fmt: skip
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
+    performance: Siqc | None,
+    scale: float,
+    lift: Lift = as_float,
+) -> list[Inequality]:
     """Every inequality on P[i,k,a,b], K[mode,section] and, without a SIQC, g2 = (scale gamma)^2; y is scaled by ``scale``.
 
     Raises ValueError where a section of the gains starts inside a cell of ``r_nodes``: the cell would have one gain of several.
@@ -114,9 +120,16 @@ def loop_inequalities(
 
 
 def _bounded_real(
-    p: Array, k: Array, *rest: Array, system: JumpSystem, mode: int, rates: list[Array], performance: Siqc | None, scale: float,
+    p: Array,
+    k: Array,
+    *rest: Array,
+    system: JumpSystem,
+    mode: int,
+    rates: list[Array],
+    performance: Siqc | None,
+    scale: float,
     lift: Lift,
-) -> Array:  # fmt: skip
+) -> Array:
     a, b, c, e = (lift(m[mode]) for m in (system.a, system.b, system.c, system.e) if m is not None)
     landing = rest[len(rest) - len(rates) :]
     loop = a + b @ k if system.sensors is None else a + b @ k @ lift(system.sensors[mode])
@@ -130,9 +143,16 @@ def _bounded_real(
 
 
 def _known(
-    system: JumpSystem, process: FaultDetection, gain: ScheduledGain, eta_nodes: Partition, r_nodes: Partition,
-    performance: Siqc | None, scale: float, gamma: float | None, lift: Lift = as_float,
-) -> list[Inequality]:  # fmt: skip
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
+    performance: Siqc | None,
+    scale: float,
+    gamma: float | None,
+    lift: Lift = as_float,
+) -> list[Inequality]:
     listed = loop_inequalities(system, process, gain, eta_nodes, r_nodes, performance, scale, lift)
     modes, sections = gain.gain.shape[:2]
     known = {f"K[{i},{s}]": lift(gain.gain[i, s]) for i in range(modes) for s in range(sections)}
@@ -151,9 +171,15 @@ def r_sections(process: FaultDetection, gain: ScheduledGain) -> Partition:
 
 
 def analyse_fault_tolerant(
-    system: JumpSystem, gain: ScheduledGain, process: FaultDetection, *, eta_nodes: Partition | None = None,
-    r_nodes: Partition | None = None, performance: Siqc | None = None, gamma: float | None = None,
-) -> JumpCertificate:  # fmt: skip
+    system: JumpSystem,
+    gain: ScheduledGain,
+    process: FaultDetection,
+    *,
+    eta_nodes: Partition | None = None,
+    r_nodes: Partition | None = None,
+    performance: Siqc | None = None,
+    gamma: float | None = None,
+) -> JumpCertificate:
     """The smallest certified gamma of given gains (or the verdict at a given gamma, or on a SIQC).
 
     Args:
@@ -265,9 +291,13 @@ def _abscissa(alone: FloatArray, rates: FloatArray) -> float:
 
 
 def proved_decay(
-    system: JumpSystem, process: FaultDetection, gain: ScheduledGain, eta_nodes: Partition, r_nodes: Partition,
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
     matrices: Mapping[str, FloatArray],
-) -> float:  # fmt: skip
+) -> float:
     """The largest alpha (1/s) such that V falls like e^(-alpha t) with the P of a certificate: E|x|^2 does at least that.
 
     d/dt V <= -alpha V on every cell at every rate within its bounds, and V falls where a clock enters a new section.

@@ -38,9 +38,16 @@ from design.semi_markov_loop.stability import CONDITION, analyse
 
 
 def feedback_program(
-    system: JumpSystem, process: SemiMarkov, nodes: Partition, method: Method, gain_bound: float, decay: float, condition: float,
-    *, sound: bool = True,
-) -> LmiProgram:  # fmt: skip
+    system: JumpSystem,
+    process: SemiMarkov,
+    nodes: Partition,
+    method: Method,
+    gain_bound: float,
+    decay: float,
+    condition: float,
+    *,
+    sound: bool = True,
+) -> LmiProgram:
     """The synthesis problem on X[i,r], Y[i,r] and, under a norm-bounded uncertainty, eps[i,r].
 
     Not ``sound``, as it is printed, it has one for A and one for B; see ``along_cells``.

@@ -54,9 +54,15 @@ _ASSUMED = ("the rates are as given, within their own bounds", "the periods are 
 
 
 def sampled_verdict(
-    system: JumpSystem | DelayedJumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, *, period_s: float,
-    tau: int | DelayChain = 0, d: int | DelayChain = 0, least_delay_s: float = 0.0,
-) -> Verdict:  # fmt: skip
+    system: JumpSystem | DelayedJumpSystem,
+    process: SemiMarkov | FaultDetection,
+    gain: ScheduledGain,
+    *,
+    period_s: float,
+    tau: int | DelayChain = 0,
+    d: int | DelayChain = 0,
+    least_delay_s: float = 0.0,
+) -> Verdict:
     """Return whether the sampled loop is mean-square stable; the digest is left empty.
 
     Args:
@@ -237,7 +243,12 @@ def _decided(state: State, which: str, factor: str, number: float, assumed: tupl
 
 
 def _growing(
-    system: JumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int
+    system: JumpSystem,
+    process: SemiMarkov | FaultDetection,
+    gain: ScheduledGain,
+    period_s: float,
+    tau: int,
+    d: int,
 ) -> Verdict | None:
     """The refusal of a loop that is too large for its second moments, where it is unstable while a mode stays; None elsewhere."""
     real = process.failure if isinstance(process, FaultDetection) else process

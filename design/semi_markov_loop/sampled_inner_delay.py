@@ -106,9 +106,16 @@ def delayed_program(system: DelayedJumpSystem, loop: SampledLoop, *, by_section:
 
 
 def _change(
-    first: Array, last: Array, smooth: Array, *rest: Array, system: DelayedJumpSystem, mode: int, rates: tuple[float, ...],
-    end: int, cell_s: float,
-) -> Array:  # fmt: skip
+    first: Array,
+    last: Array,
+    smooth: Array,
+    *rest: Array,
+    system: DelayedJumpSystem,
+    mode: int,
+    rates: tuple[float, ...],
+    end: int,
+    cell_s: float,
+) -> Array:
     n, size = system.states, first.shape[-1]
     here, weights, landing = last if end else first, rest[: system.modes], rest[system.modes :]
     scale = float(np.linalg.norm(system.ad, 2, axis=(1, 2)).max())  # w in units of 1 / |Ad|: the blocks are of one size

@@ -156,7 +156,12 @@ def proved_radius(matrix: FloatArray, labels: int, guess: float) -> float:
 
 
 def random_delay_verdict(
-    system: JumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, period_s: float, tau: DelayChain, d: DelayChain
+    system: JumpSystem,
+    process: SemiMarkov | FaultDetection,
+    gain: ScheduledGain,
+    period_s: float,
+    tau: DelayChain,
+    d: DelayChain,
 ) -> Verdict:
     """Return whether the loop is mean-square stable over two delay chains; the digest is left empty.
 

@@ -123,10 +123,18 @@ Change = Callable[..., Any]
 
 
 def along_cells(
-    changes: Sequence[Change], process: SemiMarkov, gain: ScheduledGain, nodes: Partition, method: str, *,
-    at_nodes: Sequence[str] = ("P",), shared: Sequence[str] = (), least: Array | None = None, sound: bool = True,
+    changes: Sequence[Change],
+    process: SemiMarkov,
+    gain: ScheduledGain,
+    nodes: Partition,
+    method: str,
+    *,
+    at_nodes: Sequence[str] = ("P",),
+    shared: Sequence[str] = (),
+    least: Array | None = None,
+    sound: bool = True,
     lift: Lift = as_float,
-) -> list[Inequality]:  # fmt: skip
+) -> list[Inequality]:
     """What must be negative definite along every cell at every corner of the rates, and what links the cells of ``pwc``.
 
         dP_i/dh + sum_j lambda_ij (P_j(0) - P_i) is handed to each of ``changes`` beside P_i(h) and K(i, h),
@@ -175,9 +183,15 @@ def along_cells(
 
 
 def _mean_of_ends(
-    *matrices: Array, change: Change, kinds: int, shared: int, lift: Lift, pairs: list[tuple[int, Array]], width: Array | None,
+    *matrices: Array,
+    change: Change,
+    kinds: int,
+    shared: int,
+    lift: Lift,
+    pairs: list[tuple[int, Array]],
+    width: Array | None,
     rates: list[Array],
-) -> Array:  # fmt: skip
+) -> Array:
     """One Bernstein coefficient; ``matrices``: those at the nodes kind by kind, shared, landings."""
     ends = (len(matrices) - shared - len(rates)) // kinds
     at, rest = matrices[: kinds * ends], matrices[kinds * ends :]
@@ -190,9 +204,16 @@ def _mean_of_ends(
 
 
 def require_inverse(
-    program: LmiProgram, blocks: Sequence[Change], process: SemiMarkov, nodes: Partition, method: str, *, at_nodes: Sequence[str],
-    shared: Sequence[str] = (), sound: bool = True,
-) -> None:  # fmt: skip
+    program: LmiProgram,
+    blocks: Sequence[Change],
+    process: SemiMarkov,
+    nodes: Partition,
+    method: str,
+    *,
+    at_nodes: Sequence[str],
+    shared: Sequence[str] = (),
+    sound: bool = True,
+) -> None:
     """Require along every cell, at every corner of the rates, what is linear in X = P^-1 and in products with it.
 
         (rows of the block)  and  [sqrt(lambda_ij) X_i, 0, -X_j(0)],    - dX_i/dh - sum_j lambda_ij X_i in the first corner.

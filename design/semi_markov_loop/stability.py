@@ -43,9 +43,15 @@ CONDITION = 1e4
 
 
 def stability_inequalities(
-    system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, nodes: Partition, method: Method, decay: float,
-    lift: Lift = as_float, sound: bool = True,
-) -> list[Inequality]:  # fmt: skip
+    system: JumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov,
+    nodes: Partition,
+    method: Method,
+    decay: float,
+    lift: Lift = as_float,
+    sound: bool = True,
+) -> list[Inequality]:
     """Every inequality of ``pwl`` or ``pwc`` on P[i,r] (and eps[i,r]), for floats or fractions."""
     bounded = isinstance(system.uncertainty, NormBounded)
     changes = [partial(_decrease, system=system, vertex=vertex, decay=decay, lift=lift) for vertex in system.vertices]
@@ -79,10 +85,17 @@ def lyapunov_program(inequalities: list[Inequality], states: int, condition: flo
 
 
 def analyse(
-    system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov, *, method: Method = "pwl",
-    nodes: Partition | None = None, parts: int = 4, decay: float = 0.0, condition: float = CONDITION,
+    system: JumpSystem,
+    gain: ScheduledGain | None,
+    process: SemiMarkov,
+    *,
+    method: Method = "pwl",
+    nodes: Partition | None = None,
+    parts: int = 4,
+    decay: float = 0.0,
+    condition: float = CONDITION,
     verify_with: VerifyWith = "cvxpy",
-) -> JumpCertificate:  # fmt: skip
+) -> JumpCertificate:
     """Certify or refuse mean-square stability of the loop u = K(i, h) x, with decay rate at least ``decay``.
 
     Args:
@@ -120,9 +133,18 @@ def analyse(
 
 
 def stability_certificate(
-    system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, nodes: Partition, method: Method, decay: float,
-    condition: float, form: str, *, sound: bool = True, verify_with: VerifyWith = "cvxpy",
-) -> JumpCertificate:  # fmt: skip
+    system: JumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov,
+    nodes: Partition,
+    method: Method,
+    decay: float,
+    condition: float,
+    form: str,
+    *,
+    sound: bool = True,
+    verify_with: VerifyWith = "cvxpy",
+) -> JumpCertificate:
     """What the inequalities at one decay rate say, with matrices I <= P <= ``condition`` I; ``form`` begins the reason."""
     rebuild = partial(stability_inequalities, system, gain, process, nodes, method, decay, sound=sound)
     found = decide(lyapunov_program(rebuild(as_float), system.states, condition), verify_with=verify_with)
@@ -165,9 +187,14 @@ def _proved_decay(build: Callable[[float], list[Inequality]], matrices: Mapping[
 
 
 def largest_decay(
-    system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov, *, nodes: Partition | None = None, parts: int = 4,
+    system: JumpSystem,
+    gain: ScheduledGain | None,
+    process: SemiMarkov,
+    *,
+    nodes: Partition | None = None,
+    parts: int = 4,
     tolerance: float = 1e-3,
-) -> JumpCertificate:  # fmt: skip
+) -> JumpCertificate:
     """The certificate with the largest decay rate of the method ``pwl``, by bisection to a relative ``tolerance``.
 
     Raises ValueError as ``analyse``; where not even stability is certified, the certificate at decay 0 comes back.

@@ -37,10 +37,17 @@ class Descent(NamedTuple):
 
 
 def bfgs(
-    objective: Objective, start: Array, *, iterations: int = 500, gradient_tolerance: float = 1e-9,
-    value_tolerance: float = 1e-12, patience: int = 3, stop: Callable[[float], bool] | None = None,
-    ceiling: Callable[[float], None] | None = None, metric: Callable[[Array], Array] | None = None,
-) -> Descent:  # fmt: skip
+    objective: Objective,
+    start: Array,
+    *,
+    iterations: int = 500,
+    gradient_tolerance: float = 1e-9,
+    value_tolerance: float = 1e-12,
+    patience: int = 3,
+    stop: Callable[[float], bool] | None = None,
+    ceiling: Callable[[float], None] | None = None,
+    metric: Callable[[Array], Array] | None = None,
+) -> Descent:
     """Minimise from `start`, a point of the domain.
 
     Args:

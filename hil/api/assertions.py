@@ -20,9 +20,17 @@ SHOWN_SEEDS = 20
 
 @checked_arguments
 def assert_probability(
-    source: Source, holds: Callable[[Session], object], *, at_least: float, margin: float | None = None, alpha: float = 1e-3,
-    beta: float = 1e-3, most_runs: int = 10_000, first_seed: int = 0, **changes: Any,
-) -> str:  # fmt: skip
+    source: Source,
+    holds: Callable[[Session], object],
+    *,
+    at_least: float,
+    margin: float | None = None,
+    alpha: float = 1e-3,
+    beta: float = 1e-3,
+    most_runs: int = 10_000,
+    first_seed: int = 0,
+    **changes: Any,
+) -> str:
     """Assert that a condition holds with at least some probability, by Wald's sequential test over seeded sessions.
 
     It runs seed after seed in virtual time and stops as soon as it may. If the probability is ``at_least`` or less, it passes

@@ -62,10 +62,18 @@ def verify(
 
 @checked_arguments
 def run(
-    source: Source, *, seed: int | None = None, duration: str | float | None = None, clock: ClockName = "virtual",
-    link: str | None = None, log: str | Path | None = None, force: bool = False, signals: str | None = None,
-    external: bool = False, **changes: Any,
-) -> Session:  # fmt: skip
+    source: Source,
+    *,
+    seed: int | None = None,
+    duration: str | float | None = None,
+    clock: ClockName = "virtual",
+    link: str | None = None,
+    log: str | Path | None = None,
+    force: bool = False,
+    signals: str | None = None,
+    external: bool = False,
+    **changes: Any,
+) -> Session:
     """Run an experiment and measure it.
 
     Args:
@@ -102,9 +110,13 @@ def run(
 
 @checked_arguments
 def report(
-    source: Session | Comparison | Sweep | ParameterSweep | str | Path, *, output: str | Path | None = None, force: bool = False,
-    figures: str | Path | None = None, folder: str | Path | None = None,
-) -> tuple[Path, ...]:  # fmt: skip
+    source: Session | Comparison | Sweep | ParameterSweep | str | Path,
+    *,
+    output: str | Path | None = None,
+    force: bool = False,
+    figures: str | Path | None = None,
+    folder: str | Path | None = None,
+) -> tuple[Path, ...]:
     """Make one self-contained HTML page of a run: its sections, and those that the experiment's plug-ins draw.
 
     Args:
@@ -164,9 +176,13 @@ def report(
 
 @checked_arguments
 def simulate(
-    source: Source | Loop, *, seed: int | None = None, duration: str | float | None = None, topics: Sequence[str] | None = None,
+    source: Source | Loop,
+    *,
+    seed: int | None = None,
+    duration: str | float | None = None,
+    topics: Sequence[str] | None = None,
     **changes: Any,
-) -> Run:  # fmt: skip
+) -> Run:
     """Run an experiment in virtual time and keep its records in memory: no file, no summary, the quickest way.
 
     Args:
@@ -201,9 +217,16 @@ def sweep(source: Source, *, grid: Mapping[str, Sequence[Any]], **options: Any) 
 def sweep(source: Source, *, range: Mapping[str, Sequence[Any]], points: int, **options: Any) -> ParameterSweep: ...
 @checked_arguments
 def sweep(
-    source: Source, *, runs: int = 100, first_seed: int = 0, jobs: int = -1, grid: Mapping[str, Sequence[Any]] | None = None,
-    range: Mapping[str, Sequence[Any]] | None = None, points: int | None = None, **changes: Any,
-) -> Sweep | ParameterSweep:  # fmt: skip
+    source: Source,
+    *,
+    runs: int = 100,
+    first_seed: int = 0,
+    jobs: int = -1,
+    grid: Mapping[str, Sequence[Any]] | None = None,
+    range: Mapping[str, Sequence[Any]] | None = None,
+    points: int | None = None,
+    **changes: Any,
+) -> Sweep | ParameterSweep:
     """Run an experiment for many seeds in virtual time, at one point or, with ``grid`` or ``range``, at many.
 
     Args:

@@ -122,9 +122,17 @@ class Runner:
         self._numbers = count()
 
     def run(
-        self, experiment: str | Path, *, set: Sequence[str] = (), seed: int | None = None, duration: str | float | None = None,
-        clock: ClockName | None = None, link: str | None = None, external: bool = False, **changes: Any,
-    ) -> Session:  # fmt: skip
+        self,
+        experiment: str | Path,
+        *,
+        set: Sequence[str] = (),
+        seed: int | None = None,
+        duration: str | float | None = None,
+        clock: ClockName | None = None,
+        link: str | None = None,
+        external: bool = False,
+        **changes: Any,
+    ) -> Session:
         """Run an experiment and return its session: ``.metrics``, ``.arrays`` (numpy, per topic), ``.summary``, ``.status``.
 
         Args:

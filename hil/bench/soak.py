@@ -150,7 +150,11 @@ def slope(t: Floats, y: Floats) -> tuple[float, float]:
 
 
 def bench_soak(
-    *, duration_s: float = 600.0, sessions: int = 0, at_once: int = 0, progress: Callable[[str], None] = lambda text: None
+    *,
+    duration_s: float = 600.0,
+    sessions: int = 0,
+    at_once: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Row:
     """Run ``dc-motor-1khz`` over can:hil for long, with cyclictest beside it where it is installed.
 

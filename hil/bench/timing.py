@@ -145,9 +145,15 @@ def _ratio(ours_us: float | None, beside_us: float | None) -> float | None:
 
 
 def bench_timing(
-    *, duration_s: float = 20.0, turns: int = 4, links: Sequence[str] = LINKS, experiments: Sequence[str] = (EXPERIMENT,),
-    sets: Sequence[str] = (), affinities: Sequence[str] = (), progress: Callable[[str], None] = lambda text: None,
-) -> list[dict[str, Any]]:  # fmt: skip
+    *,
+    duration_s: float = 20.0,
+    turns: int = 4,
+    links: Sequence[str] = LINKS,
+    experiments: Sequence[str] = (EXPERIMENT,),
+    sets: Sequence[str] = (),
+    affinities: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[dict[str, Any]]:
     """Run experiments over each link with cyclictest beside them; return one row per experiment and link.
 
     `ratio` is the rig's lateness over cyclictest's, `round_trip_ratio` the median round trip over that of the last row.

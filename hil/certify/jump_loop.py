@@ -140,9 +140,12 @@ def _within_reach(plant: JumpModel, rates: JumpRates, gain: ScheduledGain) -> tu
 
 
 def _with_constraint(
-    verdict: Verdict, constraint: tuple[Array, Array, Array], system: JumpSystem | DelayedJumpSystem, gain: ScheduledGain,
+    verdict: Verdict,
+    constraint: tuple[Array, Array, Array],
+    system: JumpSystem | DelayedJumpSystem,
+    gain: ScheduledGain,
     process: SemiMarkov | FaultDetection,
-) -> Verdict:  # fmt: skip
+) -> Verdict:
     """Return the verdict with what the conditions of Chapter 4 say of a quadratic constraint (4.6)."""
     from design.processes.semi_markov import FaultDetection
     from design.semi_markov_loop import DelayedJumpSystem
@@ -206,9 +209,12 @@ def in_continuous_time(
 
 
 def _with_continuous_time(
-    loop: CertificationProblem, verdict: Verdict, system: JumpSystem | DelayedJumpSystem, gain: ScheduledGain,
+    loop: CertificationProblem,
+    verdict: Verdict,
+    system: JumpSystem | DelayedJumpSystem,
+    gain: ScheduledGain,
     process: SemiMarkov | FaultDetection,
-) -> Verdict:  # fmt: skip
+) -> Verdict:
     """Return the verdict at T with what the chapters add to it: gamma, and a word where nothing is decided at T."""
     details: dict[str, object] = {"sound": True, "period_s": loop.model.period_s, **verdict.details}
     try:

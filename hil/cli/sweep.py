@@ -50,10 +50,25 @@ if TYPE_CHECKING:
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
 @json_option()
 def command(
-    experiment: str, runs: int, first_seed: int, duration: str | None, grids: tuple[str, ...], ranges: tuple[str, ...],
-    points: int | None, output: Path | None, table: Path | None, force: bool, until: str | None, level: float | None,
-    resume: Path | None, own: tuple[str, ...], backend: str, scheduler: str | None, jobs: int, sets: tuple[str, ...],
-) -> None:  # fmt: skip
+    experiment: str,
+    runs: int,
+    first_seed: int,
+    duration: str | None,
+    grids: tuple[str, ...],
+    ranges: tuple[str, ...],
+    points: int | None,
+    output: Path | None,
+    table: Path | None,
+    force: bool,
+    until: str | None,
+    level: float | None,
+    resume: Path | None,
+    own: tuple[str, ...],
+    backend: str,
+    scheduler: str | None,
+    jobs: int,
+    sets: tuple[str, ...],
+) -> None:
     """Run EXPERIMENT in virtual time for many seeds; print mean, spread and percentiles of its metrics.
 
     With --grid, or --range and --points, it runs at many points with the same seeds at each (--resume is a folder then):

@@ -111,9 +111,13 @@ def _checked(checker: Checker, raw: dict[str, Any], text: str, source: str) -> E
 
 
 def experiment_from_resolved(
-    resolved: typing.Mapping[str, Any], text: str, source: str, *, folder: str | None = None,
+    resolved: typing.Mapping[str, Any],
+    text: str,
+    source: str,
+    *,
+    folder: str | None = None,
     objects: typing.Mapping[str, object] | None = None,
-) -> Experiment:  # fmt: skip
+) -> Experiment:
     """Check the resolved form that a log carries, so that what ran can run again.
 
     A plant or a controller that was built in Python, or stands in a file of its own, is `UnavailablePlugin` unless it is

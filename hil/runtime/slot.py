@@ -42,7 +42,11 @@ class Slot:
     """
 
     def __init__(
-        self, rig: Rig, exchange: Exchange, commit: Callable[[], None] = lambda: None, stopped: Callable[[], bool] = lambda: False
+        self,
+        rig: Rig,
+        exchange: Exchange,
+        commit: Callable[[], None] = lambda: None,
+        stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self._rig, self._exchange, self._commit, self._stopped = rig, exchange, commit, stopped
 

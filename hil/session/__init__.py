@@ -70,10 +70,18 @@ def simulated_session(loop: Loop, seed: int) -> Session:
 
 
 def run_session(
-    experiment: Experiment, *, clock: ClockName = "virtual", link: str | None = None, path: Path, external: bool = False,
-    wait_s: float | None = None, signals: str | None = None, index: Index = "full", onlooker: Onlooker | None = None,
+    experiment: Experiment,
+    *,
+    clock: ClockName = "virtual",
+    link: str | None = None,
+    path: Path,
+    external: bool = False,
+    wait_s: float | None = None,
+    signals: str | None = None,
+    index: Index = "full",
+    onlooker: Onlooker | None = None,
     replace: bool = True,
-) -> Session:  # fmt: skip
+) -> Session:
     """Run an experiment, log it, and sum it up.
 
     Args:

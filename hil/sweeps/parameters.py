@@ -174,9 +174,14 @@ def load_points(load: Callable[[list[str]], Experiment], points: Points) -> list
 
 
 def sweep_parameters(
-    experiments: Sequence[Experiment], points: Points, *, seeds: range, workers: Workers, folder: Path | None = None,
+    experiments: Sequence[Experiment],
+    points: Points,
+    *,
+    seeds: range,
+    workers: Workers,
+    folder: Path | None = None,
     progress: Callable[[int], None] = lambda done: None,
-) -> ParameterSweep:  # fmt: skip
+) -> ParameterSweep:
     """Run an experiment at every point for the same seeds, so that points with the same network laws meet the same delays.
 
     Args:

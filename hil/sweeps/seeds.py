@@ -203,9 +203,14 @@ MOST_RUNS: Final = 1_000_000
 
 
 def run_sweep(
-    experiment: Experiment, seeds: Sequence[int], *, workers: Workers, progress: Callable[[int], None] = lambda done: None,
-    store: SweepStore | None = None, until: tuple[str, StopRule] | None = None,
-) -> Sweep:  # fmt: skip
+    experiment: Experiment,
+    seeds: Sequence[int],
+    *,
+    workers: Workers,
+    progress: Callable[[int], None] = lambda done: None,
+    store: SweepStore | None = None,
+    until: tuple[str, StopRule] | None = None,
+) -> Sweep:
     """Run an experiment for every seed, or for as many as a confidence interval needs.
 
     Every run has its own seed, so the numbers are the same for every number of jobs and machines and every split.

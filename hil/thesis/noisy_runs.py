@@ -38,9 +38,18 @@ def _norms(time_s: Array, x: Array, c: Array, noise: Array, noise_s: float) -> t
 
 
 def delayed_runs(
-    system: DelayedJumpSystem, gain: ScheduledGain, process: SemiMarkov, *, start: tuple[float, ...], runs: int,
-    duration_s: float, noise_s: float, noise: bool = True, step_s: float = 4e-3, seed: int = 0,
-) -> NoisyRuns:  # fmt: skip
+    system: DelayedJumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov,
+    *,
+    start: tuple[float, ...],
+    runs: int,
+    duration_s: float,
+    noise_s: float,
+    noise: bool = True,
+    step_s: float = 4e-3,
+    seed: int = 0,
+) -> NoisyRuns:
     """Runs with the delay (3.43), x(t) = x(0) for t < 0, by fourth-order Runge-Kutta over all runs at once.
 
     The delayed state is interpolated linearly; jumps are moved to the next step. Mode 0 at t = 0.
@@ -91,9 +100,16 @@ def delayed_runs(
 
 
 def fault_runs(
-    system: JumpSystem, gain: ScheduledGain, process: FaultDetection, *, start: tuple[float, ...], runs: int, duration_s: float,
-    noise_s: float, seed: int = 0,
-) -> NoisyRuns:  # fmt: skip
+    system: JumpSystem,
+    gain: ScheduledGain,
+    process: FaultDetection,
+    *,
+    start: tuple[float, ...],
+    runs: int,
+    duration_s: float,
+    noise_s: float,
+    seed: int = 0,
+) -> NoisyRuns:
     """Runs with failures and detections, exact between noise samples and jumps; eta = r = 0 and all clocks 0 at t = 0.
 
     A seed gives the same jumps and the same noise to every gain.

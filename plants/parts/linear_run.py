@@ -101,9 +101,15 @@ class DrivenRun:
     __slots__ = ("_applied", "_left_ns", "_limits", "_noise", "_normals", "_root", "_run", "_step_ns")
 
     def __init__(
-        self, model: StateSpace, initial_state: Sequence[float], *, limits: Sequence[float], intensity: Sequence[float],
-        step_ns: int, rng: np.random.Generator,
-    ) -> None:  # fmt: skip
+        self,
+        model: StateSpace,
+        initial_state: Sequence[float],
+        *,
+        limits: Sequence[float],
+        intensity: Sequence[float],
+        step_ns: int,
+        rng: np.random.Generator,
+    ) -> None:
         self._run = LinearRun(_with_forces(model, intensity), initial_state)
         self._limits, self._step_ns, self._normals = tuple(limits), step_ns, Normals(rng)
         self._root = math.sqrt(NS_PER_S / step_ns)

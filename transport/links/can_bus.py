@@ -98,10 +98,19 @@ class HilBus(can.BusABC):
     """
 
     def __init__(
-        self, channel: Channel = "rig0", can_filters: CanFilters | None = None, receive_own_messages: bool = False,
-        fd: bool = True, timed: bool = False, bitrate: object = None, dbitrate: object = None, data_bitrate: object = None,
-        berr_reporting: bool = False, restart_ms: object = None, **kwargs: object,
-    ) -> None:  # fmt: skip
+        self,
+        channel: Channel = "rig0",
+        can_filters: CanFilters | None = None,
+        receive_own_messages: bool = False,
+        fd: bool = True,
+        timed: bool = False,
+        bitrate: object = None,
+        dbitrate: object = None,
+        data_bitrate: object = None,
+        berr_reporting: bool = False,
+        restart_ms: object = None,
+        **kwargs: object,
+    ) -> None:
         name = str(channel)
         try:
             self.frames = join_channel(

@@ -81,9 +81,16 @@ class CanLink(Closing):
     """
 
     def __init__(
-        self, uri: str, role: Role, join: Callable[[], Frames], *, identifiers: Identifiers | None = None, fd: bool = True,
-        pad: bool = False, claims: Sequence[Closing] = (),
-    ) -> None:  # fmt: skip
+        self,
+        uri: str,
+        role: Role,
+        join: Callable[[], Frames],
+        *,
+        identifiers: Identifiers | None = None,
+        fd: bool = True,
+        pad: bool = False,
+        claims: Sequence[Closing] = (),
+    ) -> None:
         self.uri = uri
         self._counters = LinkCounters()
         self._sent = self._received = 0

@@ -54,9 +54,16 @@ class McapSink(Sink):
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], channels: Mapping[str, Channel], provenance: Provenance, *,
-        now: Callable[[], float] | None = None, index: Index = "full", keep: Keep | None = None, replace: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        path: str | os.PathLike[str],
+        channels: Mapping[str, Channel],
+        provenance: Provenance,
+        *,
+        now: Callable[[], float] | None = None,
+        index: Index = "full",
+        keep: Keep | None = None,
+        replace: bool = True,
+    ) -> None:
         self.path = Path(path)
         self.messages = 0
         self._dropped = 0

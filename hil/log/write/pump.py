@@ -54,9 +54,14 @@ class PumpReport:
 
 
 def pump(
-    fd: int, sink: Sink, channels: Mapping[str, Channel], *, taps: Mapping[str, PayloadWriter] | None = None,
-    stop: Callable[[], bool] = lambda: False, report: PumpReport | None = None,
-) -> PumpReport:  # fmt: skip
+    fd: int,
+    sink: Sink,
+    channels: Mapping[str, Channel],
+    *,
+    taps: Mapping[str, PayloadWriter] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    report: PumpReport | None = None,
+) -> PumpReport:
     """Carry records from the pipe to a sink until the writer is gone, however it went.
 
     Args:

@@ -30,9 +30,15 @@ All: TypeAlias = Callable[[Records], npt.NDArray[np.bool_]]
 
 
 def curve(
-    records: Records, y: str | Callable[[Records], npt.NDArray[Any]], *, label: str, style: LineStyle = "line",
-    where: All | None = None, x: Callable[[Records], Float] = seconds, **look: Any,
-) -> Series:  # fmt: skip
+    records: Records,
+    y: str | Callable[[Records], npt.NDArray[Any]],
+    *,
+    label: str,
+    style: LineStyle = "line",
+    where: All | None = None,
+    x: Callable[[Records], Float] = seconds,
+    **look: Any,
+) -> Series:
     """Return a curve over session time.
 
     Args:

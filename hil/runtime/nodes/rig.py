@@ -56,9 +56,17 @@ class Rig:
     """
 
     def __init__(
-        self, loop: Loop, seed: int, sink: Sink, channels: dict[str, Channel], stop: Callable[[], None], wire: Wire | None = None,
-        identifiers: Identifiers | None = None, woken: Callable[[int], int] | None = None, changing: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        loop: Loop,
+        seed: int,
+        sink: Sink,
+        channels: dict[str, Channel],
+        stop: Callable[[], None],
+        wire: Wire | None = None,
+        identifiers: Identifiers | None = None,
+        woken: Callable[[int], int] | None = None,
+        changing: bool = False,
+    ) -> None:
         e = loop.experiment
         self._seed = seed
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]

@@ -27,9 +27,13 @@ class Safety:
     """
 
     def __init__(
-        self, input_limits: Sequence[float] | None, state_limits: Sequence[tuple[int, Signal, float]], watchdog_slots: int,
-        period_ns: int = 0, inputs: Sequence[Signal] = (),
-    ) -> None:  # fmt: skip
+        self,
+        input_limits: Sequence[float] | None,
+        state_limits: Sequence[tuple[int, Signal, float]],
+        watchdog_slots: int,
+        period_ns: int = 0,
+        inputs: Sequence[Signal] = (),
+    ) -> None:
         self._inputs = input_limits
         self._signals = inputs
         self._states = state_limits

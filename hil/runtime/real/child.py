@@ -58,9 +58,14 @@ class Child:
     """
 
     def __init__(
-        self, name: str, module: str, job: object, pass_fds: tuple[int, ...] = (),
-        dump: Callable[[object, IO[bytes]], None] = pickle.dump, folders: Sequence[str] = (),
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        module: str,
+        job: object,
+        pass_fds: tuple[int, ...] = (),
+        dump: Callable[[object, IO[bytes]], None] = pickle.dump,
+        folders: Sequence[str] = (),
+    ) -> None:
         self.name = name
         # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
         # It ignores SIGINT; blocked, one that comes before it has said so waits for that, and no import is cut off.

@@ -213,9 +213,16 @@ class Processes:
 
 
 def run_real(
-    loop: Loop, seed: int, link: SessionLink, sink: Sink, *, external: bool = False, hello_timeout_s: float | None = None,
-    taps: Mapping[str, PayloadWriter] | None = None, changes: Changes | None = None,
-) -> RealOutcome:  # fmt: skip
+    loop: Loop,
+    seed: int,
+    link: SessionLink,
+    sink: Sink,
+    *,
+    external: bool = False,
+    hello_timeout_s: float | None = None,
+    taps: Mapping[str, PayloadWriter] | None = None,
+    changes: Changes | None = None,
+) -> RealOutcome:
     """Run a loop in real time; return when both processes have ended.
 
     Args:
