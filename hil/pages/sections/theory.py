@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from hil.compose.judged import caution
 from hil.measure.network_paths import changed_fields
@@ -115,22 +117,21 @@ def _sums(loop: Loop, predicted: PredictedTracking, error: np.ndarray[Any, Any],
 
 
 def _emulate(loop: Loop, names: list[str], slots: int) -> np.ndarray[Any, Any] | None:
-    """Return the errors of more runs, (runs, slots, outputs); None if the runs are too long to make many."""
+    """Return the errors of more runs of so many slots, (runs, slots, outputs); None if they are too long to make many."""
     count = min(RUNS, SLOTS // slots)
     if count < FEWEST:
         return None
+    loop = replace(loop, experiment=structs.replace(loop.experiment, duration=slots * loop.experiment.period))
     seeds = [1_000_000 + i for i in range(count)]
     columns = [[signal.name for signal in loop.experiment.plant.outputs].index(name) for name in names]
     found: dict[int, np.ndarray[Any, Any]] = {}
     if supports_batch(loop):
         together = run_batch(loop, seeds, topics=())
         errors = np.moveaxis(together.outputs[columns], 0, -1) - together.reference[:, None, columns]  # (slots, runs, outputs)
-        found = {seed: errors[:slots, i] for i, seed in enumerate(seeds) if together.known[i]}
-    for seed in seeds:
-        if seed in found:
-            continue
+        found = {seed: errors[:, i] for i, seed in enumerate(seeds) if together.known[i]}
+    for seed in (each for each in seeds if each not in found):
         run = simulate(loop, seed, (MEASUREMENT, REFERENCE))
         y, r = (matrix(run.arrays[topic], names) for topic in (MEASUREMENT, REFERENCE))
-        if len(y) >= slots:  # one that safety stopped has no error to show
-            found[seed] = (y - r)[:slots]
+        if len(y) == slots:  # one that safety stopped has no error to show
+            found[seed] = y - r
     return np.array([found[seed] for seed in seeds if seed in found]) if len(found) >= FEWEST else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,17 +18,15 @@ from hil.pages.sections import theory
 from hil.pages.sections.theory import section as theory_section
 from hil.pages.sections.traffic import sensor_nodes
 from hil.pages.sections.wall import section as wall_section
+from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
-from hil.session import run_session
+from hil.sweeps.lockstep import BatchResult, run_batch
 from tests.hil.pages.runs import run_of
 
 
 @pytest.mark.parametrize(("name", "mean", "sd"), [("dc-motor-hinf", 12.03, 0.41), ("dc-motor-h2", 12.33, 0.46)])
-def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
-    tmp_path: Path, name: str, mean: float, sd: float
-) -> None:
-    run = run_session(load_experiment(name), path=tmp_path / "a.mcap").run
-    section = theory_section(view_of(run))
+def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(name: str, mean: float, sd: float) -> None:
+    section = theory_section(view_of(run_of(name)))
     assert section is not None
     figure, table = section.blocks
     assert isinstance(figure, Figure) and isinstance(table, Table)
@@ -45,27 +42,33 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
         assert np.all(np.abs(np.asarray(edge) - centre)[wide] < 4 * spread[wide])
 
 
-def test_a_prediction_over_many_modes_is_of_the_first_slots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = run_session(load_experiment("dc-motor-hinf", ["duration=4"]), path=tmp_path / "a.mcap").run
+def test_a_prediction_over_many_modes_is_of_the_first_slots(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of("dc-motor-hinf", "duration=4")
     monkeypatch.setattr(theory, "MOST_MOMENTS", 6 * 30)  # modes of this network times slots
+    emulated: list[int] = []
+
+    def counted(loop: Loop, *given: Any, **more: Any) -> BatchResult:
+        emulated.append(loop.experiment.slots)
+        return run_batch(loop, *given, **more)
+
+    monkeypatch.setattr(theory, "run_batch", counted)
     found = theory_section(view_of(run))
+    assert emulated == [30], "a run that ended early costs no page more runs of its whole duration"
     assert found is not None and "the first 30 slots of 80" in found.intro
     assert isinstance(found.blocks[0], Figure) and len(found.blocks[0].series[0].y) == 30
 
 
 @pytest.mark.parametrize("name", ["dc-motor-smith", "smjls-robust-published"])
-def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
-    run = run_session(load_experiment(name, ["duration=2"]), path=tmp_path / "a.mcap").run
-    assert theory_section(view_of(run)) is None
+def test_what_has_no_prediction_has_no_panel(name: str) -> None:
+    assert theory_section(view_of(run_of(name, "duration=2"))) is None
 
 
-def test_prediction_starts_where_the_law_starts(tmp_path: Path) -> None:
+def test_prediction_starts_where_the_law_starts() -> None:
     """Always the longest delay in slot 0, a step in slot 0: the first input cannot act before slot 2 or later."""
     changes = ["duration=2", "reference.0.at=0", "network.sc.law.initial=[0.0, 0.0, 1.0]", "disturbance.0.at=1.5"]
     sections = []
     for extra in ([], ["network.sc.law.initial=stationary"]):
-        run = run_session(load_experiment("dc-motor-hinf", changes + extra), path=tmp_path / f"{len(extra)}.mcap").run
-        section = theory_section(view_of(run))
+        section = theory_section(view_of(run_of("dc-motor-hinf", *changes, *extra)))
         assert section is not None and isinstance(section.blocks[0], Figure)
         sections.append(np.asarray(section.blocks[0].series[0].y))
     late, stationary = sections
