@@ -6,12 +6,13 @@ import json
 import os
 import re
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import to_builtins
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import OUTPUT, PATH, Duration, NamedPath, Questions
@@ -74,7 +75,7 @@ def analyse(
             raise HilError(f"--bitrate: is for messages in a .csv or .dbc; change that of {target} by --set "
                            "network.media.NAME.bitrate=500000")  # fmt: skip
         found = _of_experiment(target, sets, duration, bursts)
-    show_page(bus_page(found), asdict(found), output)
+    show_page(bus_page(found), to_builtins(found), output)
 
 
 @can.command()
