@@ -97,8 +97,10 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     base = tmp_path_factory.getbasetemp()
     folder: Path = (base.parent if "popen-gw" in base.name else base) / "cache"
     with pytest.MonkeyPatch.context() as patch:
-        # A kernel is built for minutes and named after its recipe: tests of the vcan take the user's.
-        patch.setenv("HILRIG_KERNEL_CACHE", os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache"))
+        # A kernel is built for minutes and named after its recipe, fonts are sought for half a second: tests take the user's.
+        own = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+        patch.setenv("HILRIG_KERNEL_CACHE", own)
+        patch.setenv("MPLCONFIGDIR", os.environ.get("MPLCONFIGDIR") or os.path.join(own, "matplotlib"))
         patch.setenv("XDG_CACHE_HOME", str(folder))
         yield
 

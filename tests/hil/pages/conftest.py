@@ -1,4 +1,4 @@
-"""One browser and one composing process for the room: starting a browser takes seconds of CPU time."""
+"""One browser for the room: starting one takes a second of CPU time."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from hil.compose.changed import changed
 from hil.pages.live import desk
 from hil.pages.live.desk import Composer
 from hil.pages.sections import theory
+from hil.rig.loop import Loop
 from tests.hil.pages import chromium
 
 
@@ -36,23 +38,14 @@ def browser(one_browser: chromium.Page) -> Iterator[chromium.Page]:
     one_browser.requests.clear()
 
 
-class Kept(Composer):
-    """A process that composes for one test after another."""
+class Here(Composer):
+    """Composes in the process of the test: one of its own starts for half a second of CPU time; some tests start it."""
 
-    def close(self) -> None:
-        """It goes on, for the next test."""
-
-
-@pytest.fixture(scope="session")
-def one_composer() -> Iterator[Composer]:
-    """Each starts for half a second of CPU time; that it ends with its page is looked at where a test starts its own."""
-    kept = Kept()
-    kept._start()  # here, as it ends with the thread that starts it
-    yield kept
-    Composer.close(kept)
+    def changed(self, loop: Loop, k: int, path: str, value: object) -> Loop:
+        return changed(loop, k, path, value)
 
 
 @pytest.fixture
-def composer(one_composer: Composer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the pages of a test have the process of the room."""
-    monkeypatch.setattr(desk, "Composer", lambda: one_composer)
+def composer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the pages of a test compose in its process."""
+    monkeypatch.setattr(desk, "Composer", Here)

@@ -43,20 +43,24 @@ def test_plots_are_numbered_and_of_the_size_asked_for(tmp_path: Path) -> None:
     assert (size.get("width"), size.get("height")) == ("360pt", "144pt") and document.read_bytes().startswith(b"%PDF")
 
 
-def test_a_dollar_sign_of_a_stranger_begins_no_formula(tmp_path: Path) -> None:
-    curve = Series(label="$x$", x=np.arange(2.0), y=np.arange(2.0))
-    plot = Figure(title="t", y_label="$^{$ \udcff", series=(curve, replace(curve, label="y")))
-    drawing, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path)
-    assert all(text in drawing.read_text() for text in ("$^{$ \\udcff", "$x$"))
+@pytest.fixture(scope="module")
+def drawing(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A plot of counts with words of a stranger."""
+    ages = Series(label="$x$", x=10 * np.arange(2.0), y=np.arange(2.0))
+    plot = Figure(title="t", y_label="$^{$ \udcff", series=(ages, replace(ages, label="b")), integer_y=True)
+    drawn, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path_factory.mktemp("drawing"))
+    return drawn.read_text()
 
 
-def test_what_is_counted_has_whole_ticks_and_a_legend_hides_what_is_behind_it(tmp_path: Path) -> None:
-    ages = Series(label="a", x=10 * np.arange(2.0), y=np.arange(2.0))
-    plot = Figure(title="t", y_label="age", series=(ages, replace(ages, label="b")), integer_y=True)
-    drawing, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path)
-    words = {text.text or "" for text in ElementTree.parse(drawing).iter() if text.tag.endswith("text")}
+def test_a_dollar_sign_of_a_stranger_begins_no_formula(drawing: str) -> None:
+    assert all(text in drawing for text in ("$^{$ \\udcff", "$x$"))
+
+
+def test_what_is_counted_has_whole_ticks_and_a_legend_hides_what_is_behind_it(drawing: str) -> None:
+    parts = [*ElementTree.fromstring(drawing).iter()]
+    words = {part.text or "" for part in parts if part.tag.endswith("text")}
     assert {"0", "1"} <= words and not any("." in word for word in words)
-    (legend,) = (part for part in ElementTree.parse(drawing).iter() if (part.get("id") or "").startswith("legend"))
+    (legend,) = (part for part in parts if (part.get("id") or "").startswith("legend"))
     assert "opacity: 0.8" in ElementTree.tostring(legend[0], encoding="unicode")
 
 

@@ -34,7 +34,7 @@ def report(run: Run) -> str:
 
 
 def test_user_text_cannot_become_markup() -> None:
-    run = run_of("dc-motor-hinf", 'name="<script>alert(1)<"', 'description="</script><img src=x onerror=alert(1)>"')
+    run = run_of("dc-motor-hinf", "duration=1", 'name="<script>alert(1)<"', 'description="</script><img src=x onerror=alert(1)>"')
     run.events.append({"slot": 1, "t_s": 0.05, "kind": "<b>", "severity": "<i>", "message": "</td><script>x", "data": {}})
     page = report(run)
     assert "<script>alert" not in page and "<img" not in page and "<b>" not in page and "<i>" not in page
@@ -60,7 +60,7 @@ def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
 
 
 def test_report_shows_verdicts_numbers_law_test_and_experiment_text() -> None:
-    page = report(run_of("dc-motor-hinf", certify=True))
+    page = report(run_of("dc-motor-hinf", "duration=20", certify=True))
     for part in ("virtual time", "safety not tripped", "mean-square stable", "agrees with its law", "Squared tracking error"):
         assert part in page
     assert "[[disturbance]]" in page and "reference step" in page
@@ -83,7 +83,7 @@ def test_report_of_a_stopped_run_says_why() -> None:
 
 def test_report_shows_packet_laws_by_their_fates_and_measured_ages() -> None:
     law = 'network.sc.law={kind="packet", latency="60 ms", loss={p_gb=0.1, p_bg=0.5}, duplication=0.2}'
-    run = run_of("dc-motor-smith", law, "network.sc.max_age=8", "allow_uncertified=true", certify=True)
+    run = run_of("dc-motor-smith", law, "duration=10", "network.sc.max_age=8", "allow_uncertified=true", certify=True)
     page = report(run)
     assert "age of what was used" in page and "copied" in page and "ages that the chain does not distinguish" in page
     answers = run.arrays["/controller/rows"].copy()
@@ -119,7 +119,8 @@ def test_a_law_of_one_mode_may_be_random_and_what_is_before_it_too() -> None:
     """Losses and latencies of a packet law are tested; turns that are drawn, and lose a tenth, are not what the law says."""
     laws = [f'network.{way}.law={{kind="packet", latency="20 ms", loss=0.1}}' for way in ("sc", "ca")]
     assert "nothing is random" not in report(run_of("dc-motor-local", "duration=5", "allow_uncertified=true", *laws))
-    page = report(run_of("multisensor-lossy", 'duration="1 s"'))
+    lossy = run_of("multisensor-lossy", 'duration="1 s"'), load_experiment("multisensor-lossy")  # with the gains on its file
+    page = render_report(view_of(*lossy))
     assert page.count("nothing is random") == 1 and page.count("for random turns, loss 0.1") == 4  # that of the actuator
 
 
@@ -159,14 +160,13 @@ def test_events_stand_in_the_order_of_time() -> None:
 MARKS = [("warning", "warning"), ("error", "bad"), ("info", "neutral"), (None, "neutral")]
 
 
-@pytest.mark.parametrize(("severity", "state"), MARKS)
-def test_an_event_is_marked_by_its_severity(severity: str | None, state: str) -> None:
+def test_an_event_is_marked_by_its_severity() -> None:
     run = run_of("dc-motor-hinf", 'duration="0.2 s"')
-    said = {"severity": severity} if severity else {}
-    run.events[:] = [{"slot": 1, "t_s": 0.05, "data": {}, "kind": "note", "message": "m", **said}]
+    said = [{"severity": severity} if severity else {} for severity, _ in MARKS]
+    run.events[:] = [{"slot": 1, "t_s": 0.05, "data": {}, "kind": "note", "message": "m", **each} for each in said]
     section = events(view_of(run))
     assert section is not None and isinstance(table := section.blocks[0], Table)
-    assert table.rows == [[0.05, Badge(label=severity or "info", state=state), "note", "m"]]  # type: ignore[arg-type]
+    assert table.rows == [[0.05, Badge(label=severity or "info", state=state), "note", "m"] for severity, state in MARKS]  # type: ignore[arg-type]
 
 
 def test_run_of_one_slot_and_torn_run_are_reported() -> None:

@@ -412,6 +412,8 @@ def test_two_experiments_run_beside_each_other_on_the_same_delays(tmp_path: Path
     page.wish(do="apply", path="network.ca.law", value={"kind": "constant", "age": 1})
     claims = page.settled("armed")["claims"]
     assert [claim["state"] for claim in claims] == ["refused", "certified"]
+    page.wish(do="check", path="controller", value={"kind": "virtual-wall"})
+    assert "controller" in page.settled("refused")["message"], "the process that composes goes on"
     page.wish(do="step", slots=40)
     until(lambda: all(page.view(side=i)["slots"] == 40 for i in (0, 1)), "forty slots")
     page.end()

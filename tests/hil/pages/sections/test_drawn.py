@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from textwrap import dedent
 from typing import Any, ClassVar
@@ -65,13 +66,16 @@ class Drawing(DCMotor):
         return type(self).shows(view)
 
 
+@cache
+def drawn() -> hil.Session:
+    return hil.run("dc-motor-hinf", seed=0, duration=1, plant=Drawing())
+
+
 @pytest.fixture
 def page(monkeypatch: pytest.MonkeyPatch) -> Any:
-    session = hil.run("dc-motor-hinf", seed=0, duration=1, plant=Drawing())
-
     def page(shows: Any) -> str:
         monkeypatch.setattr(Drawing, "shows", staticmethod(shows))
-        return render_report(view_of(session.run, session.experiment))
+        return render_report(view_of(drawn().run, drawn().experiment))
 
     return page
 
@@ -80,7 +84,7 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Any:
 def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(dedent(MINE))
-    hil.run("dc-motor-hinf", seed=0, duration=2, log="run.mcap", **{"report.measures": ["tracking", "mine:Effort"]})
+    hil.run("dc-motor-hinf", seed=0, duration=0.5, log="run.mcap", **{"report.measures": ["tracking", "mine:Effort"]})
     return tmp_path
 
 
@@ -119,7 +123,7 @@ def test_python_and_the_command_write_the_same_page(mine: Path) -> None:
 
 
 def test_a_page_replaces_a_page_and_another_file_with_force_alone(tmp_path: Path) -> None:
-    session = hil.run("dc-motor-hinf", seed=0, duration=1)
+    session = drawn()
     with pytest.raises(HilError, match="output="):
         hil.report(session)
     target = tmp_path / "page.html"
@@ -236,7 +240,7 @@ def test_one_that_shows_nothing_leaves_no_trace(page: Any) -> None:
 
 
 def test_a_view_of_one_output_shares_what_was_made() -> None:
-    session = hil.run("vtol-hinf", duration=1)
+    session = hil.run("vtol-hinf", duration=0.2)
     view = view_of(session.run, session.experiment)
     loop = view.once(avatar.composed)
     assert isinstance(loop, Loop) and view.only(view.signals.tracked[0]).once(avatar.composed) is loop
