@@ -17,6 +17,7 @@ import pytest
 
 from tests.waiting import LIMIT_S, ended, until
 from transport.can_bus_model import BitRates, CanFrame
+from transport.links import TransportError, shared_bus
 from transport.links.can_bus import bus_directory
 from transport.links.held_bus import Ended, HeldBus
 from transport.links.shared_bus import HELD_S, BusFile, SharedBus
@@ -134,6 +135,19 @@ def test_a_state_with_a_value_of_another_type_begins_a_new_bus(tmp_path: Path, o
     assert second.look().state == "active" and HeldBus(state(file).encode()).living.rates == BitRates(250_000)
     for each in (first, second, file):
         each.close()
+
+
+def test_a_participant_with_another_clock_is_refused_and_leaves_nothing_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its frames would wait for an instant that comes in a day, or came a day ago."""
+    first = SharedBus(tmp_path, BitRates(500_000), print)
+    monkeypatch.setattr(shared_bus, "namespace", lambda kind: f"{kind}:[1]")
+    files = os.listdir("/proc/self/fd")
+    with pytest.raises(TransportError, match="the bus counts the time of another time namespace, as a container may have"):
+        SharedBus(tmp_path, BitRates(500_000), print)
+    assert os.listdir("/proc/self/fd") == files
+    first.close()
 
 
 def test_a_frame_is_queued_once_where_others_went_on_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from transport.links import Role, TransportError, split_uri
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink, Frames
 from transport.links.hil_frames import HilFrames
-from transport.links.private_directory import Claim, bus_directory, network
+from transport.links.private_directory import Claim, bus_directory, namespace
 
 OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")
 """What a CAN link's URI may say of its frames; the rest is the interface's."""
@@ -157,7 +157,7 @@ def _world(interface: str) -> object:
     """Return what channels of one name may lie apart in: directories of buses, processes, network namespaces."""
     if interface == "hil":
         return bus_directory()
-    return os.getpid() if interface == "virtual" else network()
+    return os.getpid() if interface == "virtual" else namespace("net")
 
 
 def _value(text: str) -> int | float | bool | str:

@@ -21,6 +21,7 @@ from transport.can_bus_model.bus import CanBus, Memory, Transmission
 from transport.can_bus_model.disturbances import BusFault, PlannedErrors, PlannedOutages
 from transport.can_bus_model.node import BufferKind, CanNode, State, Waiting
 from transport.links import TransportError
+from transport.links.private_directory import namespace
 
 PATIENCE_NS: Final = 100_000_000
 _MOST_FAILURES: Final = 32
@@ -83,9 +84,9 @@ _Sending: TypeAlias = tuple[int, int, int, int | None, list[tuple[int, int | Non
 SavedBus: TypeAlias = tuple[BitRates, Memory, list[_Node], list[_Sending]]
 
 _DECODER: Final = Decoder(tuple[
-    SavedBus, list[Participant], tuple[list[_Fault], list[int], list[int]], list[_Fault], tuple[int, int]
+    SavedBus, list[Participant], tuple[list[_Fault], list[int], list[int]], list[_Fault], tuple[int, int], str
 ])  # fmt: skip
-"""Of what stands in the file: bus, participants, outages, faults, state of the stream of the disturbed bits."""
+"""Of what stands in the file: bus, participants, outages, faults, state of the stream of the disturbed bits, whose clock."""
 
 
 class HeldBus:
@@ -97,6 +98,7 @@ class HeldBus:
     Attributes:
         bus: None if there is none yet.
         participants: of each node.
+        clock: time namespace of who began it.
     """
 
     def __init__(self, text: bytes) -> None:
@@ -105,8 +107,9 @@ class HeldBus:
         self._outages = PlannedOutages()
         self._faults: list[BusFault] = []
         self._drawn = 0, 1
+        self.clock = ""
         with suppress(ValueError, IndexError):  # a file that holds none begins a new one
-            state, self.participants, outages, faults, self._drawn = _DECODER.decode(text)
+            state, self.participants, outages, faults, self._drawn, self.clock = _DECODER.decode(text)
             self._outages.remember(*outages)
             self._faults = [BusFault(*each) for each in faults]
             self.bus = restored(state)
@@ -155,6 +158,7 @@ class HeldBus:
         """Begin a bus without nodes, idle from now on."""
         self.participants, self._outages, self._faults, self._noise = [], PlannedOutages(), [], None
         self.bus = CanBus(rates, [], idle=BitRates.units(monotonic_ns()))
+        self.clock = namespace("time")
         self._listen(self.bus)
 
     def join(self, node: CanNode, owner: int) -> int:
@@ -230,7 +234,7 @@ class HeldBus:
     def text(self) -> bytes:
         """Return everything as bytes."""
         drawn = self._drawn if self._noise is None else _stream(self._noise)
-        return encode((saved(self.living), self.participants, self._outages.memory(), self._faults, drawn))
+        return encode((saved(self.living), self.participants, self._outages.memory(), self._faults, drawn, self.clock))
 
 
 def _stream(noise: np.random.PCG64) -> tuple[int, int]:

@@ -32,7 +32,7 @@ from transport.can_bus_model.disturbances import BusFault
 from transport.can_bus_model.node import CanNode, State, Waiting
 from transport.links import Closing, TransportError
 from transport.links.held_bus import Ended, HeldBus, StateChange
-from transport.links.private_directory import BUS_FILE
+from transport.links.private_directory import BUS_FILE, namespace
 
 HELD_S: Final = 0.25
 """So long a process may hold the bus before the others go on without it, s."""
@@ -197,7 +197,7 @@ class SharedBus:
     A participant that is off the bus stays off until it joins again, or asks to `restart`.
 
     Raises:
-        TransportError: the file cannot be had.
+        TransportError: the file cannot be had, or the bus has another clock.
     """
 
     def __init__(
@@ -208,13 +208,19 @@ class SharedBus:
         self._file = BusFile(directory)
         self._own = int.from_bytes(os.urandom(4)) << 32 | os.getpid()
         self._node = -1
-        self._file.change(partial(self._join, rates))
+        try:
+            self._file.change(partial(self._join, rates))
+        except BaseException:
+            self._file.close()
+            raise
 
     def _join(self, rates: BitRates, text: bytes) -> bytes:
         held = HeldBus(text)
         held.sweep()
         if held.bus is None or not any(held.owners):
             held.start(rates)
+        if held.clock != namespace("time"):
+            raise TransportError("the bus counts the time of another time namespace, as a container may have; join it from there")
         if self._own in held.owners:
             self._node = held.owners.index(self._own)
         else:

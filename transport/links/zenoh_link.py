@@ -31,7 +31,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
 from transport.links import Closing, LinkCounters, Role, TransportError, split_uri
-from transport.links.private_directory import Claim, network, private_directory
+from transport.links.private_directory import Claim, namespace, private_directory
 from transport.links.zenoh_access import LEASE_S, OPTIONS, Access, Claims, access, own_name
 from transport.links.zenoh_refusals import CallbackThreads, add_refused, count_into, require_zenoh, say
 
@@ -300,7 +300,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     require_zenoh(uri)
     import zenoh
 
-    where = (network(), _LOOPBACK.sub("loopback", address)) if protocol in _NETWORKED else (address,)
+    where = (namespace("net"), _LOOPBACK.sub("loopback", address)) if protocol in _NETWORKED else (address,)
     with ExitStack() as held:  # until the link holds it; of two rigs the second finds the endpoint taken
         claims = [Claim(uri, role, "zenoh", *where, name, choose="another name")] if role == "controller" else []
         for claim in claims:
