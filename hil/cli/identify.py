@@ -135,7 +135,10 @@ def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> Non
     for each in fit.candidates[:6]:
         _line(f"tried {each.name} on {each.fitted_to}: {each.parameters} parameters, BIC {each.bic:.1f}")
     if fit.law_class == "none":
-        _line('none of the laws explains these packets: replay them (kind = "trace", or latency = { file = ... })')
+        what = "none of the laws explains these packets:" if fit.ages is not None else (
+            "these packets depend on each other, and of their ages no chain can be counted: measure for longer, or"
+        )
+        _line(f'{what} replay them (kind = "trace", or latency = {{ file = ... }})')
         return
     click.echo("" if path is None else f"  written: {path}")
     if path is None:

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, controller_traits
 from design.errors import TooLarge
+from design.jump_linear.order_of_modes import strong_classes
 from design.verdict import Verdict
 from hil.certify import CertificationProblem
 from hil.certify.certify import certify, of_external, own_laws
@@ -42,6 +43,10 @@ RESTARTED = (
 )
 DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, which no record holds"
 
+LEAST_PHASE = "directions or clocks repeat, and meet in the phases in which the loop grows least"
+MOST_PAIRS = 400
+"""Pairs of modes up to which every phase is judged by itself."""
+
 
 def judge(
     experiment: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, *,
@@ -60,7 +65,7 @@ def judge(
     behind = chance_behind_cuts(chains, experiment, model.d_max)
     problem = _problem(experiment, rig, chains, controller, model, selection, in_phase, behind)
     problem = replace(problem, taken_over=taken_over)
-    verdict = certify(problem)
+    verdict = _in_every_phase(problem, certify(problem))
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
         drawn, assumed = own_laws(rig)
@@ -84,6 +89,31 @@ def judge(
         said = f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}"
         raise ExperimentError(experiment.name, [f"{said}; set allow_uncertified = true to run it all the same"])
     return verdict, watched
+
+
+def _in_every_phase(problem: CertificationProblem, verdict: Verdict) -> Verdict:
+    """Return the verdict on the phases in which a loop grows least, where it is refused and any may meet; else the one given.
+
+    It stays undecided in a run where there are too many to be looked at.
+    """
+    from design.processes.delay_chain import kron_of
+
+    sc, ca = problem.sc, problem.ca
+    knows = isinstance(problem.controller, GainTable | LinearFeedback | AgedFeedback)
+    if verdict.state != "refused" or ANY_PHASE not in problem.unmet or not knows or sc is None or ca is None:
+        return verdict
+    if sc.modes * ca.modes > MOST_PAIRS:
+        return verdict
+    chances = kron_of([sc.bounds[1], ca.bounds[1]])
+    closed = [own for own in strong_classes(chances) if np.count_nonzero(chances[own].any(axis=0)) == len(own)]
+    least = problem.unmet.replace(ANY_PHASE, LEAST_PHASE)
+    found = []
+    for at_sc, at_ca in (divmod(int(own[0]), ca.modes) for own in closed):
+        begun = [replace(chain, begins=np.arange(chain.modes) == at) for chain, at in ((sc, at_sc), (ca, at_ca))]
+        found.append(certify(replace(problem, sc=begun[0], ca=begun[1], unmet=least)))
+        if found[-1].state != "refused" or found[-1].number is None:
+            return verdict
+    return min(found, key=lambda each: each.number or 0.0)
 
 
 def _run_again_in_part(

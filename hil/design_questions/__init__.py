@@ -27,6 +27,7 @@ from hil.errors import HilError, located, nearest
 from hil.experiment.tables import Timing
 from hil.plugins import is_ours
 from hil.rig import RigSpec, motion_of
+from hil.rig.delay_chains import gains_within
 from plants.parts.protocols import Plant
 from transport.errors import NotKnown
 
@@ -54,7 +55,7 @@ class TrackingTarget(NamedTuple):
     """Where a controller is to work: plant's name, period in s, discrete plant, the two delay chains, and the plant itself.
 
     What comes until `deadline`, a share of a slot, counts in it. `left_out` says what the chains leave out of the loop that runs,
-    a phrase; empty: nothing.
+    a phrase; empty: nothing. `reached` are both chains as a run meets them, over which a design is judged; None: `sc` and `ca`.
     """
 
     plant: str
@@ -67,6 +68,7 @@ class TrackingTarget(NamedTuple):
     of: Plant
     deadline: float = Timing().deadline
     left_out: str = ""
+    reached: tuple[DelayChain, DelayChain] | None = None
 
 
 def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1) -> TrackingTarget:
@@ -104,7 +106,7 @@ def target_of(
         HilError: several sensor nodes, or a network that is no chain of delays.
     """
     from hil.experiment.table import Seconds
-    from hil.rig import rig_of
+    from hil.rig import loop_chains, rig_of
     from hil.rig.bus_delays import bus_chains
     from hil.rig.can_bus import can_bus_of
     from hil.rig.delay_chains import chains_of
@@ -127,7 +129,9 @@ def target_of(
     shorter = "frames on the bus that are shorter than they can be, or of fewer rows, make other ages, over which hil run judges"
     left_out = shorter if on_bus and not _of_every_length(rig, sc, ca) else chains.neglects()
     target = _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)
-    return target._replace(deadline=experiment.timing.deadline, left_out=left_out)
+    return target._replace(
+        deadline=experiment.timing.deadline, left_out=left_out, reached=None if on_bus else loop_chains.reached(chains)
+    )
 
 
 def _of_every_length(rig: RigSpec, sc: DelayChain, ca: DelayChain) -> bool:
@@ -160,8 +164,8 @@ def _checked(period: float) -> float:
 
 
 def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
-    """Return the verdict on a design over the network that it was made for."""
-    return on_plant(target, linear_verdict(target, design, *design.problem.chains))
+    """Return the verdict on a design over the network that it was made for, as far as a run comes in it."""
+    return on_plant(target, linear_verdict(target, design, *(target.reached or design.problem.chains)))
 
 
 def linear_verdict(target: TrackingTarget, design: Design, sc: DelayChain, ca: DelayChain) -> Verdict:
@@ -169,8 +173,9 @@ def linear_verdict(target: TrackingTarget, design: Design, sc: DelayChain, ca: D
     from design.networked_loop.certify import certify_loop
 
     moves, integrates = motion_at(target), float(bool(design.problem.integral))
+    gains = gains_within(design.gains, design.selection, sc, ca)
     found = certify_loop(
-        moves.A, moves.B, moves.C, sc, ca, design.gains, design.selection, samples=design.problem.samples, integral=integrates
+        moves.A, moves.B, moves.C, sc, ca, gains, design.selection, samples=design.problem.samples, integral=integrates
     )  # fmt: skip
     return second_moment_verdict(found, digest_of_design(target, design))
 

@@ -94,7 +94,7 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
 
 def over_network(target: TrackingTarget, sc: Measured, ca: Measured) -> TrackingTarget:
     """Return what is designed for, over measured laws."""
-    return target._replace(sc=sc.chain(), ca=ca.chain(), left_out="")
+    return target._replace(sc=sc.chain(), ca=ca.chain(), left_out="", reached=None)
 
 
 def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured) -> Verdict:

@@ -63,13 +63,13 @@ def loop_chains(
             return _over_bus(rig, chains, controller, model)
         except NotKnown as why:
             return LoopChains(None, None, "", str(why))
+    if (both := reached(chains)) is not None and chains.sc is not None and chains.ca is not None:
+        never = chains.sc.modes + chains.ca.modes - sum(chain.modes for chain in both)
+        unmet = f"the network begins as its laws state: it never comes to {never} of their modes" if never else ""
+        return LoopChains(*both, unmet, "")
     sc = None if chains.sc is None else _begins(chains.sc, chains.arriving)
     ca = None if chains.ca is None else _begins(chains.ca, (chains.applied,))
-    unmet, drawn = "", (sc is not None, ca is not None)
-    if sc is not None and ca is not None and chains.sc is not None and chains.ca is not None:
-        if never := chains.sc.modes + chains.ca.modes - sc.modes - ca.modes:
-            unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
-        return LoopChains(*_in_phase(sc, ca, drawn), unmet, "")
+    drawn = sc is not None, ca is not None
     its = controller_traits(controller)
     if its.sojourns or (ca is None and its.row_sojourns > 1):
         return LoopChains(sc, ca, "", chains.why_none)
@@ -91,6 +91,13 @@ def loop_chains(
             return LoopChains(None, ca, "", str(why))
         return LoopChains(*settled(*_in_phase(found, ca, drawn)), "", "", *_slack(rig))
     return LoopChains(*settled(*_in_phase(sc, ca, drawn)), "", "")
+
+
+def reached(chains: Chains) -> tuple[DelayChain, DelayChain] | None:
+    """Return both chains of a design with the modes that a run reaches, in the phases in which these meet; None without both."""
+    if chains.sc is None or chains.ca is None:
+        return None
+    return _in_phase(_begins(chains.sc, chains.arriving), _begins(chains.ca, (chains.applied,)), (True, True))
 
 
 def _begins(chain: DelayChain, ways: Sequence[Received]) -> DelayChain:

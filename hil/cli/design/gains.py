@@ -211,7 +211,7 @@ def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, An
     rho = request.input_weight
     alone = judge_linear_law(model_at(target), none, none, law, input_weight=rho).to_json()
     over_network = judge_linear_law(
-        motion_at(target), target.sc, target.ca, law, input_weight=rho, digest=digest_of_law(target, law)
+        motion_at(target), *(target.reached or (target.sc, target.ca)), law, input_weight=rho, digest=digest_of_law(target, law)
     )  # fmt: skip
     verdict = on_plant(target, over_network)
     return {

@@ -89,6 +89,14 @@ def test_a_faulty_file_of_a_law_is_named(cli: Hil, tmp_path: Path, text: str | N
     assert said in err
 
 
+def test_too_few_changes_of_age_are_said_to_be_too_few(cli: Hil, tmp_path: Path) -> None:
+    values = np.where(np.arange(1000) // 150 % 2, 0.012, 0.002) + np.random.default_rng(0).uniform(0, 1e-3, 1000)
+    (tmp_path / "slow.csv").write_text("\n".join(["latency_s", *map(repr, values.tolist())]))
+    status, out, _ = cli("identify", "law", "slow.csv", "--period", "10ms")
+    said = "these packets depend on each other, and of their ages no chain can be counted: measure for longer, or replay"
+    assert status == 1 and said in " ".join(out.split())
+
+
 def test_none_of_these_is_status_1_and_writes_no_law(cli: Hil, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     late = rng.random(8000) < 0.3 + 0.28 * np.sin(2.0 * np.pi * np.arange(8000) / 60.0)

@@ -413,6 +413,10 @@ def test_a_law_that_begins_anew_meets_the_other_direction_in_another_phase() -> 
     verdict = changed(loop, 101, "controller", {"kind": "local", "gain": [[-6.0]]}).verdict  # stable, whichever phases meet
     assert verdict is not None and verdict.certified and verdict.details["modes"] == 4
     assert any("any of their phases may meet" in said for said in verdict.assumptions)
+    for gain, state in ((-20.0, "undecided"), (-24.0, "refused")):  # in one pair of phases it grows, in both
+        found = changed(loop, 101, "controller", {"kind": "local", "gain": [[gain]]}).verdict
+        assert found is not None and found.state == state
+    assert "phases in which the loop grows least" in str(found.assumptions) and found.number == pytest.approx(1.1374, abs=1e-4)
     assert changed(loop, 101, "reference", [1.0]).verdict == loop.verdict
 
 

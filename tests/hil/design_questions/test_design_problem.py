@@ -69,6 +69,21 @@ def test_latencies_without_a_bound_leave_a_design_undecided_as_they_leave_its_ru
     assert verdict.state == state and ("have no bound" in verdict.reason) == (not bound)
 
 
+def test_a_design_is_judged_over_the_modes_that_a_run_reaches() -> None:
+    """The law begins in age 0 and never comes to age 2, in which these gains grow: `hil run` certifies them."""
+    law = "{kind='markov', matrix=[[0.5, 0.5, 0], [0.5, 0.5, 0], [0, 0.05, 0.95]], initial=[1, 0, 0]}"
+    said = {"ca.law": law, "ca.max_age": "2", "sc.law": "{kind='constant', age=0}", "sc.max_age": "0"}
+    experiment = load_experiment("dc-motor-packets", [f"network.{name}={value}" for name, value in said.items()])
+    target = target_of(experiment, "stays")
+    design = solve_tracking(problem_for(target, **FAST))
+    steep = replace(design, gains=np.full_like(design.gains, -0.35))
+    gains = {"controller": SendAll(gains=nested(steep.gains), selection=steep.selection)}
+    run = compose(msgspec.structs.replace(experiment, **gains, kinds={**experiment.kinds, "controller": "send-all"})).verdict
+    verdict = verdict_on(target, steep)
+    assert verdict_on(target._replace(reached=None), steep).state == "refused"
+    assert run is not None and run.state == verdict.state == "certified" and verdict.number == pytest.approx(run.number, rel=1e-9)
+
+
 def test_another_period_makes_other_ages_of_latencies() -> None:
     """A latency of 45 ms is late by one slot of 50 ms, and by two of 25 ms, whose deadline is at 15 ms."""
     law = {"network.sc.law": "{kind='packet', latency='45 ms'}", "network.sc.max_age": "3"}
