@@ -20,7 +20,7 @@ from hil.experiment import parse_table
 from hil.rig.delay_chains import chain_of
 from hil.rig.receiver import Receiver, received
 from transport.errors import NotKnown
-from transport.law_fit.proportions import AgeRegion, behind_late, confidence_region, seen_correlations
+from transport.law_fit.proportions import AgeRegion, arrivals, behind_late, confidence_region, seen_correlations
 from transport.laws import ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:
@@ -52,8 +52,10 @@ class Measured(Struct, frozen=True, kw_only=True):
             said = "in slots, which the record does not reject; it does reject that latencies do"
         low, high = behind_late(fit)
         behind = f"behind a late or lost one the next is, too, in {100.0 * low:.2g} to {100.0 * high:.2g} % (95 %)"
-        way = "network.ca" if self.at.holds_input else "network.sc"
-        return f"packets of {way} come independently of each other, {said}; {behind}"
+        way, oldest = "network.ca" if self.at.holds_input else "network.sc", len(arrivals(fit).came) - 1
+        late = f"{oldest} slot{'s' * (oldest != 1)} late"
+        discarded = f"none that comes more than {late}, as none in the record does, is taken"
+        return f"packets of {way} come independently of each other, {said}; {behind}; {discarded}"
 
     def chain(self) -> DelayChain:
         """Return the chain of the fitted law.

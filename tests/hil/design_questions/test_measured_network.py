@@ -31,6 +31,7 @@ def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     assert said["verdict"]["number"] <= region["tail_radius"] < 1.0
     assumed = [each for each in region["assumptions"] if "come independently of each other" in each]
     assert [each[:22] for each in assumed] == ["packets of network.sc ", "packets of network.ca "]
+    assert all(each.endswith("; none that comes more than 1 slot late, as none in the record does, is taken") for each in assumed)
     assert all("a correlation of neighbours below 0.065 is often missed; behind a late or lost one" in each for each in assumed)
     assert cli(*run, "--set", "allow_uncertified=true", "--duration", "20", "-o", "short.mcap")[0] in (0, 3)
     status, out, err = cli("design", "dc-motor", "--network", "short.mcap", "--starts", "1", "--json")
