@@ -164,7 +164,7 @@ class SemiMarkov:
             slope = self.rate(mode, h).sum(axis=-1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = h - error / slope
-            inside = np.isfinite(step) & (step > low) & (step < high)
+            inside = (step > low) & (step < high) | (step == h)  # by less than rounding: it is found, and an end of the bracket
             new = np.where(done | (error == 0.0), h, np.where(inside, step, 0.5 * (low + high)))
             done |= np.abs(new - h) <= 4e-16 * np.abs(new)  # it stays: no draw depends on those beside it
             h = new
