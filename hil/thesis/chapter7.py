@@ -46,9 +46,9 @@ def _predicted(loop: Loop) -> tuple[Array, Array]:
     return found.error_mean[:, 0], found.error_sd[:, 0]
 
 
-def _band(loop: Loop, where: str = "") -> Band:
+def _band(loop: Loop, predicted: tuple[Array, Array], where: str = "") -> Band:
     """Two standard deviations on either side of the predicted output."""
-    (error, sd), reference = _predicted(loop), loop.reference().at
+    (error, sd), reference = predicted, loop.reference().at
     mean = error + [reference(k)[0] for k in range(len(error))]
     x = np.arange(len(error)) * loop.model.period_s
     return Band(label=f"predicted mean ± 2 sd{where}", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd)
@@ -69,11 +69,12 @@ def motor_plots(motor: friction.Imperfections, report_progress: ReportProgress) 
             for label, loop in drawn.items()
             for t, y in [angle(loop, SEED)]
         ]
-        predicted = fast if kind == "local" else stated
+        shown = fast if kind == "local" else stated
         note = "stopped by safety at T = 0.05 s: not mean-square stable" if kind == "local" else ""
         panel = Figure(
-            title="Motor angle", series=tuple(series), bands=(_band(predicted, f", T = {predicted.model.period_s} s"),),
-            y_label="angle", y_unit="rad", y_range=(-1.0, 7.0), markers=(Marker(x=30.0, label="disturbance"),), note=note,
+            title="Motor angle", series=tuple(series), y_label="angle", y_unit="rad", y_range=(-1.0, 7.0), note=note,
+            bands=(_band(shown, _predicted(shown), f", T = {shown.model.period_s} s"),),
+            markers=(Marker(x=30.0, label="disturbance"),),
         )  # fmt: skip
         plots.append(Plot(title=f"Figure {number}: {name} controller", panels=(panel,)))
     return plots
@@ -164,10 +165,11 @@ def _marks(view: BatchView) -> tuple[Array, Array, Array]:
 
 def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
     """Figures 7.2 and 7.3: one run of the published controller, the predicted band, and the local gain that diverges."""
-    plots = []
+    plots, local = [], upright("local H2", "duration=0.6 s")
+    diverging = _rms("local gain: diverges", local, _predicted(local))
     for number, name in (("7.2", "H2"), ("7.3", "H-infinity")):
         report_progress(f"figure {number}")
-        loop, local = upright(name), upright("local H2", "duration=0.6 s")
+        predicted = _predicted(loop := upright(name))
         run = simulate(loop, SEED, TOPICS)
         measured = run.arrays["/plant/measurement"]
         panels = (
@@ -179,19 +181,19 @@ def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
                         y=measured["vertical_velocity"],
                     ),
                 ),
-                bands=(_band(loop),), markers=(Marker(x=3.0, label="impulse"),),
+                bands=(_band(loop, predicted),), markers=(Marker(x=3.0, label="impulse"),),
             ),
             Figure(
                 title="Root mean square error", y_label="error", y_unit="kn", y_log=True, sync=None,
-                series=(_rms("published gains", loop), _rms("local gain: diverges", local)),
+                series=(_rms("published gains", loop, predicted), diverging),
             ),
         )  # fmt: skip
         plots.append(Plot(title=f"Figure {number}: {name} controller of the VTOL", panels=panels))
     return {"figures": plots}
 
 
-def _rms(label: str, loop: Loop) -> Series:
-    rms = np.hypot(*_predicted(loop))
+def _rms(label: str, loop: Loop, predicted: tuple[Array, Array]) -> Series:
+    rms = np.hypot(*predicted)
     return Series(label=label, x=np.arange(len(rms)) * loop.model.period_s, y=rms)
 
 

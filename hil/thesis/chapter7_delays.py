@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from design.jump_linear import h2_derivative
 from design.jump_linear.second_moment import mean_square_radius
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain, Index
+from design.tracking.bfgs import bfgs
 from design.tracking.synthesis import TrackingProblem, solve
 from hil.compose import compose
 from hil.experiment import load_experiment
@@ -32,9 +34,6 @@ from plants.dc_motor import DCMotor
 PATTERNS = {"none": "tau", "estimate": "previous", "known": "generated"}
 RUNS, SLOTS = 20_000, 300
 R = 0.01
-UNSTABLE = 1e3
-"""In the place of a norm that does not exist, for a descent by differences."""
-
 H2_EXPERIMENT = "dc-motor-ours-h2"
 
 
@@ -119,25 +118,28 @@ def late_estimate(previous: Array) -> dict[str, Any]:
     Args:
         previous: gains over (tau_k, d_k-1), [tau, r, m, p], at which the descent starts.
     """
-    from scipy.optimize import minimize
-
     pasts = list(itertools.product(range(len(NETWORK[1])), repeat=len(NETWORK[0])))
     moves = np.array([[NETWORK[1][old[0], new[0]] * (new[1:] == old[:-1]) for new in pasts] for old in pasts])
     chain = DelayChain(transition=moves, delays=np.array([past[0] for past in pasts]), labels=np.arange(len(pasts)))
+    loop = loop_structure(*motor(), NETWORK[0], chain, "previous")
 
-    def norm(gains: Array) -> float:
-        table = np.array([[K[past[tau]] for past in pasts] for tau, K in enumerate(gains)])
-        return certify_loop(*motor(), NETWORK[0], chain, table, "previous").h2_norm or UNSTABLE
+    def least(start: Array, rows: npt.NDArray[np.intp]) -> float:
+        """By a descent from gains whose rows are those that each tau and past reads."""
+        at = np.arange(len(start))[:, None], rows
 
-    def by_both(v: Array) -> float:
-        return norm(v.reshape(previous.shape))
+        def norm(v: Array) -> tuple[float, Array]:
+            gains = v.reshape(start.shape)
+            found = h2_derivative(loop.matrices(gains[at]), loop.B, loop.C, loop.transition, loop.default_initial)
+            if found is None:
+                return math.inf, v
+            slope, size = np.zeros_like(gains), math.sqrt(found.square)
+            np.add.at(slope, at, loop.gain_gradient(found.gradient_A))
+            return size, slope.ravel() / (2.0 * size)
 
-    def by_tau(v: Array) -> float:
-        return norm(v.reshape(previous[:, :1].shape).repeat(previous.shape[1], axis=1))
+        return bfgs(norm, start.ravel()).value
 
-    found = minimize(by_both, previous.ravel(), method="BFGS")
-    alone = minimize(by_tau, previous[:, 0].ravel(), method="BFGS")
-    late, none = float(found.fun), float(alone.fun)
+    seen = np.array(pasts).T
+    late, none = least(previous, seen), least(previous[:, :1], 0 * seen)
     return {"late": late, "without": none, "late_less": 1.0 - late / none}
 
 

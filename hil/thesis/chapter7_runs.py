@@ -155,9 +155,10 @@ def motor_numbers(name: str, period_s: float) -> dict[str, Any]:
 
 def vtol_table(report_progress: ReportProgress) -> dict[str, Any]:
     """Table 7.1: a unit step with an impulse on both inputs at step 300, whose size is not printed."""
-    work = on_all_cores(vtol_numbers, [(name,) for name in TABLE_7_1], report_progress, list(TABLE_7_1))
-    ours, _, local, _ = (np.median(each["sums"], axis=1) for each in work)
-    return dict(zip(TABLE_7_1, work)) | {"over": local / ours}
+    names = [name for name in TABLE_7_1 if name != UNKNOWN]
+    work = on_all_cores(vtol_numbers, [(name,) for name in names], report_progress, names)
+    ours, _, local = (np.median(each["sums"], axis=1) for each in work)
+    return dict(zip(TABLE_7_1, [*work, work[-1]])) | {"over": local / ours}
 
 
 def vtol_numbers(name: str) -> dict[str, Any]:
@@ -198,7 +199,7 @@ TABLE_7_2_ROWS = tuple(
     ),
 )
 UNKNOWN = "local H-infinity"
-"""Its gain is not printed."""
+"""Its gain is not printed: that of the local H2 controller stands in its place."""
 OTHER = not_judged("radius with the local H2 gain", f"{UNKNOWN}[radius]", "the local H-infinity gain is not printed")
 RANKS = {
     name: tuple(
