@@ -79,7 +79,7 @@ SMALLER: dict[str, Any] = {
     "chapter4_simulations.our_gains": seen, "chapter4.our_gains": seen, "chapter7.SMITH_RUNS": 50,
     "chapter7.ideal": lambda *given: ideal(*given, SHORTER), "chapter7_friction.loop_of": lambda *given: loop_of(*given, SHORTER),
     "chapter7_friction.BATCH_RUNS": 60, "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 3,
-    "chapter7_friction.CHECK_SEEDS": 3, "chapter7_runs.Workers": lambda **_: Workers(),
+    "chapter7_friction.CHECK_SEEDS": 3, "chapter7_runs.Workers": lambda **_: Workers(), "chapter7_runs.BATCH_RUNS": 40,
     "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_delays.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
