@@ -173,14 +173,12 @@ def replay(
         raise HilError(f"{' and '.join(chosen)}: choose one")
     if not SLOWEST <= speed < float("inf"):
         raise HilError(f"--speed: {speed}; expected a number of at least {SLOWEST:g}")
-    companions = (("--parameter", sets, "--controller"), ("-o", output, "--controller"), ("--speed", speed != 1, "--onto"))
+    companions = (("--parameter", sets, "--controller"), ("-o", output, "--controller"), ("--speed", speed != 1, "--onto"),
+                  ("--key", key, "--verify"), ("--auth", auth, "--verify"))  # fmt: skip
     for name, given, needed in companions:
-        if given and not ways[needed]:
+        if given and needed not in (chosen or ["--verify"]):
             raise HilError(f"{name}: needs {needed}")
     check_output(output, "a table", ".csv", remedy="choose another -o")
-    for name, given_key in (("--key", key), ("--auth", auth)):
-        if given_key is not None and (controller is not None or onto is not None or process is not None):
-            raise HilError(f"{name}: needs --verify")
     if key is None:
         with Working(f"records of {file}"):
             run = read_run(file)

@@ -69,14 +69,12 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
     def say(text: str) -> None:
         print(f"hil: {visible(text)}", file=sys.stderr)
 
-    def opened() -> None:
-        say(f"controller of {loop.experiment.name} on {uri}; Ctrl-C ends it")
-
     def at_end(report: ControllerReport) -> None:
         if any(count for name, count in report.counts.items() if name not in ("sent", "received")):
             say(f"link {', '.join(f'{name} {count}' for name, count in report.counts.items() if count)}")
 
-    say(serve(loop, uri, opened=opened, at_end=at_end, warn=say))
+    begun = f"controller of {loop.experiment.name} on {uri}; Ctrl-C ends it"
+    say(serve(loop, uri, opened=lambda: say(begun), at_end=at_end, warn=say))
     raise SystemExit(1)
 
 

@@ -160,9 +160,9 @@ def _slotted(
     path: str | Path, t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]
 ) -> tuple[float, npt.NDArray[np.float64]]:
     steps = np.diff(t)
-    if not (np.isfinite(t).all() and steps.min() > 0.0):
-        at = int(np.flatnonzero(~(steps > 0.0))[0]) if (~(steps > 0.0)).any() else 0
-        raise HilError(f"{path}: row {at + 2}: the time does not grow")
+    wrong = ~((steps > 0.0) & np.isfinite(steps))
+    if wrong.any():
+        raise HilError(f"{path}: row {wrong.argmax() + 2}: the time does not grow, or is infinite")
     period_s = float(np.median(steps))
     slots = np.rint((t - t[0]) / period_s)
     if slots[-1] > 4 * len(t):

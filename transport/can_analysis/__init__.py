@@ -134,7 +134,6 @@ class ResponseTime(Struct, frozen=True, kw_only=True):
         response_ns: from the instant at which it is due to the end of its frame's EOF; None if it has no bound, or one that takes
             too long to compute.
         intermission_ns: the same to the end of the intermission, as the literature counts; None without a bound.
-        instance: which instance of the busy period is the slowest, from 0.
         delayed_by: names of the messages that win over it.
     """
 
@@ -143,7 +142,6 @@ class ResponseTime(Struct, frozen=True, kw_only=True):
     blocking_ns: int
     response_ns: int | None
     intermission_ns: int | None
-    instance: int
     delayed_by: tuple[str, ...]
 
     @property
@@ -222,7 +220,7 @@ def response_times(
         higher = known[:place]
         blocking = max((other.length for other in known[place + 1 :]), default=0)
         load += Fraction(own.length, own.period)
-        response, instance, left = _slowest(own, higher, blocking, load, rates, errors, left)
+        response, left = _slowest(own, higher, blocking, load, rates, errors, left)
         found.append(
             ResponseTime(
                 message=own.message,
@@ -230,7 +228,6 @@ def response_times(
                 blocking_ns=rates.ns(blocking),
                 response_ns=None if response is None else rates.ns(response - INTERMISSION * rates.bit),
                 intermission_ns=None if response is None else rates.ns(response),
-                instance=instance,
                 delayed_by=tuple(other.message.name for other in higher),
             )
         )
@@ -239,8 +236,8 @@ def response_times(
 
 def _slowest(
     own: InUnits, higher: Sequence[InUnits], blocking: int, load: Fraction, rates: BitRates, errors: ErrorBursts | None, left: int
-) -> tuple[int | None, int, int]:  # fmt: skip
-    """Return the largest response time in units, None without a bound; its instance; how many of so many terms are left."""
+) -> tuple[int | None, int]:  # fmt: skip
+    """Return the largest response time in units, None without a bound, and how many of so many terms are left."""
     of_bus = [*higher, own]
     per_error = 0 if errors is None else ERROR_BITS * rates.bit + max(each.length for each in of_bus)
 
@@ -249,26 +246,25 @@ def _slowest(
 
     load += 0 if errors is None else Fraction(per_error, rates.units(errors.interval_ns))
     if load > 1 or (load == 1 and (blocking or errors or any(each.jitter for each in of_bus))):
-        return None, 0, left  # the busy period never ends
+        return None, left  # the busy period never ends
     busy, before = own.length, 0
     while busy != before:
         if (left := left - len(of_bus)) < 0:
-            return None, 0, left
+            return None, left
         before = busy
         busy = lost(busy) + blocking + sum(_ceil(busy + k.jitter, k.period) * k.length for k in of_bus)
-    response, instance, queued = 0, 0, blocking
+    response, queued = 0, blocking
     for q in range(_ceil(busy + own.jitter, own.period)):
         before = -1
         while queued != before:
             if (left := left - len(of_bus)) < 0:
-                return None, 0, left
+                return None, left
             before = queued
             interference = sum(_ceil(queued + k.jitter + rates.bit, k.period) * k.length for k in higher)
             queued = lost(queued + own.length) + blocking + q * own.length + interference
-        if own.jitter + queued - q * own.period + own.length > response:
-            response, instance = own.jitter + queued - q * own.period + own.length, q
+        response = max(response, own.jitter + queued - q * own.period + own.length)
         queued += own.length
-    return response, instance, left
+    return response, left
 
 
 def _ceil(number: int, divisor: int) -> int:

@@ -18,7 +18,6 @@ from typing import Final
 import numpy as np
 
 from hil.errors import HilError
-from hil.log.append_column import AppendColumn
 from hil.log.read.can_log import measured_frames
 from hil.log.run import Run
 from hil.log.topics import CONTROL, FRAME_TOPICS, SENSOR
@@ -202,12 +201,11 @@ def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None])
     begin = next(schedule, None)
     if begin is None:
         raise HilError("the log has no frames to play")
-    errors = AppendColumn(np.float64)
+    errors_us = np.empty(count)
     uri = _with_nodes(run, uri, "the log")
     with opened(uri, "rig") as rig, opened(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)
-        found: list[float] = []
         before_ns = begin[0]
         for i, (t_ns, role, data) in enumerate(chain([begin], schedule)):
             if (gap_s := (t_ns - before_ns) / 1e9) > LONGEST_GAP_S:
@@ -215,17 +213,13 @@ def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None])
             before_ns = t_ns
             at = round((t_ns - begin[0]) / speed)
             clock.wait_until(at)
-            found.append((clock.now() - at) / 1e3)
+            errors_us[i] = (clock.now() - at) / 1e3
             links[role].send(data)
             for _ in range(MOST_TAKEN):  # our own other end receives what we play; keep its queue short
                 if links["controller" if role == "rig" else "rig"].receive(0) is None:
                     break
             progress(i, count)
-            if len(found) == BATCH:
-                errors.extend(np.array(found))
-                found.clear()
-    errors.extend(np.array(found))
-    return Playback(frames=count, error_us=percentiles(errors.array()))
+    return Playback(frames=count, error_us=percentiles(errors_us))
 
 
 def _of_role(run: Run, topic: str, role: str) -> Iterator[tuple[int, str, bytes]]:

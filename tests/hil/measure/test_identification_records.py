@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tracemalloc
 from pathlib import Path
@@ -105,6 +106,7 @@ def test_a_table_may_begin_at_any_time(tmp_path: Path, clock: str, begin: float)
     [
         ((0.0, 0.1, 0.1, 0.2), "row 3: the time does not grow"),
         ((0.0, 0.2, 0.1, 0.3), "row 3: the time does not grow"),
+        ((0.0, 0.1, 0.2, math.inf), "row 4: the time does not grow, or is infinite"),
         ((0.0, 0.1, 0.2, 1.7), "4 rows over 17 periods of 0.1 s; expected no such gaps"),
         ((0.0,), "1 rows, expected at least 2"),
     ],

@@ -23,8 +23,7 @@ ABC += [message("C", 3, 3.5, deadline_ns=3250_000)]
 
 def test_the_second_instance_of_the_lowest_message_is_the_slowest_one() -> None:
     found = response_times(ABC, BitRates(125_000))
-    assert [each.intermission_ns for each in found] == [2_000_000, 3_000_000, 3_500_000]
-    assert [each.instance for each in found] == [0, 0, 1]  # the analysis of 1994 looked at instance 0 alone: 3.0 ms
+    assert [each.intermission_ns for each in found] == [2_000_000, 3_000_000, 3_500_000]  # the analysis of 1994: 3.0 ms
     assert [each.in_time for each in found] == [True, True, False]
     assert [each.delayed_by for each in found] == [(), ("A",), ("A", "B")]
     assert round(float(bus_load(ABC, BitRates(125_000))), 4) == 0.9714
