@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import count
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from transport.errors import FieldError
 from transport.wire import CONTROL, SELECTIONS, SENSOR, control_length, sensor_length
@@ -46,8 +47,7 @@ _FORMATS: Final = ",".join(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusNode:
+class BusNode(Struct, frozen=True, kw_only=True):
     """Who sends packets of one shape.
 
     Args:

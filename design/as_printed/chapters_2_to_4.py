@@ -24,11 +24,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import Infeasible
@@ -266,8 +267,7 @@ def printed_stability(
     return replace(found, method="printed", assumptions=(FALSE, *found.assumptions))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PrintedRequest:
+class PrintedRequest(Struct, frozen=True, kw_only=True):
     """Gains by the printed conditions, within a bound of their norm.
 
     Args:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.errors import FieldError, NotStable
 from design.jump_linear.order_of_modes import periodic_cost, periodic_radius
@@ -83,8 +84,7 @@ class DelayedPlant:
         return A, B, weight, np.zeros((p, p)) if self.input_weight is None else self.input_weight
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LiftedLoop:
+class LiftedLoop(Struct, frozen=True, kw_only=True, eq=False):
     """A closed loop: one matrix a phase, the chain of the phases, and the cost per slot.
 
     Args:

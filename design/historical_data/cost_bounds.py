@@ -5,11 +5,11 @@ The bounds are those with the whole state known, and with what its packets bring
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.controllers.sensor_nodes import SensorNodes
 from design.errors import Infeasible, NotStable
@@ -28,8 +28,7 @@ Seen = tuple[tuple[int, int, int], ...]
 """Of what a slot brings: (state, age of the newest sample, samples)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Arrivals:
+class Arrivals(Struct, frozen=True, kw_only=True):
     """Whose packet comes when, as a Markov chain of phases.
 
     Args:

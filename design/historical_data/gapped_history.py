@@ -6,10 +6,9 @@ A phase says which of the last packets came, and so which samples are known: ove
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 from msgspec.structs import replace
 
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Uses, window_of
@@ -21,8 +20,7 @@ MOST_PHASES = 512
 MOST_NUMBERS = 700_000  # in the matrices of all phases; a certificate of these takes some seconds
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PhaseGains:
+class PhaseGains(Struct, frozen=True, kw_only=True, eq=False):
     """Gains of every phase, and the chain of the phases.
 
     Args:

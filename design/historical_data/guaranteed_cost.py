@@ -16,10 +16,9 @@ own example (see `design.as_printed.chapters_5_and_6`). The Lyapunov equation on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.errors import NotStable
 from design.historical_data import Array, DelayedPlant, LiftedLoop, close, cycle, with_held
@@ -28,8 +27,7 @@ from design.verdict import Verdict
 Renewed = npt.NDArray[np.bool_] | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Start:
+class Start(Struct, frozen=True, kw_only=True, eq=False):
     """Where a run begins: its second moment, with a zero history.
 
     Args:

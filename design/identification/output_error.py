@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from scipy.signal import cont2discrete, lfilter
 from scipy.stats import chi2
 from scipy.stats import t as student
@@ -106,8 +106,7 @@ EXACT = 1e-9
 ResidualVerdict = Literal["white", "correlated", "exact"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualTest:
+class ResidualTest(Struct, frozen=True, kw_only=True):
     """The test of one fit.
 
     Args:
@@ -162,8 +161,7 @@ MOST_STEPS = 60
 CUTOFFS = 5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
+class Interval(Struct, frozen=True, kw_only=True):
     """A number with its confidence interval.
 
     Args:
@@ -182,8 +180,7 @@ class Interval:
         return self.low <= truth <= self.high
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisFit:
+class AxisFit(Struct, frozen=True, kw_only=True):
     """What records tell of an axis y'' + p y' = g u.
 
     Args:
@@ -212,8 +209,7 @@ class AxisFit:
     starts: tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Point:
+class _Point(Struct, frozen=True):
     """The best fit for one p."""
 
     pole: float

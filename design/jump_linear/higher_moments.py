@@ -23,7 +23,6 @@ Reference: R. W. Brockett, Lie algebras and Lie groups in control theory, 1973 (
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from math import comb
@@ -31,6 +30,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.jump_linear.second_moment import Array, backward, congruence_matrices, cost_once, mean_square_radius
 
@@ -50,8 +50,7 @@ SETTLED = 1e-9
 ACCURATE, MOST_SIZE = 1e-8, 1e12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FourthMoments:
+class FourthMoments(Struct, frozen=True, kw_only=True):
     """What is known of the fourth moments.
 
     Args:

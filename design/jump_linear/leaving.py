@@ -24,10 +24,10 @@ Where a loop ends that bounded signals push, `ultimate_bound` says.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from design.errors import NotStable
 from design.jump_linear.higher_moments import at, count, power, power_of_row
@@ -52,8 +52,7 @@ ENDED = 1e-12
 """Share of the sum of all second moments, after which no slot is looked at on its own."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Leaving:
+class Leaving(Struct, frozen=True, kw_only=True):
     """What bounds the probability that u leaves its limits, by where the loop begins: x(0) = S y for one S of several.
 
     Args:

@@ -18,12 +18,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import replace
 
 from design.errors import FieldError, Infeasible, check_above_zero, solver
 from design.lmi.program import Array, Inequality, LmiProgram, LmiSolution, verify
@@ -45,8 +46,7 @@ class Rebuildable(Protocol):
     def rebuild(self) -> Callable[[Lift], list[Inequality]] | None: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExactProof:
+class ExactProof(Struct, frozen=True, kw_only=True):
     """The outcome of an exact check.
 
     Args:
@@ -234,8 +234,7 @@ BACKOFF = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
 """Relative distances from the solver's optimum at which a verified interior solution is sought, in this order."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attenuation:
+class Attenuation(Struct, frozen=True, kw_only=True):
     """A gamma whose inequalities were verified (None: of a SIQC): the matrices of ``found`` belong to z scaled by ``scale``."""
 
     gamma: float | None

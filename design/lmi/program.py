@@ -17,12 +17,12 @@ times sqrt(2).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct, field
 from scipy import sparse
 
 from design.errors import FieldError, solver
@@ -89,8 +89,7 @@ def largest_eigenvalue(matrix: FloatArray) -> float:
     return float(np.linalg.eigvalsh(0.5 * (matrix + transpose(matrix)))[..., -1].max())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Variable:
+class Variable(Struct, frozen=True, kw_only=True, eq=False):
     """A matrix of unknowns: ``basis`` has shape (unknowns, rows, columns), the first one is x[offset]."""
 
     basis: FloatArray
@@ -101,8 +100,7 @@ class Variable:
         return np.tensordot(x[self.offset : self.offset + self.basis.shape[0]], self.basis, axes=1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Inequality:
+class Inequality(Struct, frozen=True, kw_only=True, eq=False):
     """function(*matrices) < 0, the matrices given by name; without ``strict``, <= 0 is enough.
 
     ``function`` accepts batch axes and is affine in the matrices that are unknown (all together).
@@ -128,8 +126,7 @@ class Inequality:
         return Inequality(name=self.name, function=function, on=rest, strict=self.strict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LmiSolution:
+class LmiSolution(Struct, frozen=True, kw_only=True, eq=False):
     """What came back: the matrices by name, the verified eigenvalues, what the dual matrices prove.
 
     Args:
@@ -187,8 +184,7 @@ def verify(inequalities: Iterable[Inequality], matrices: Mapping[str, FloatArray
     return worst[True], worst[False]
 
 
-@dataclass(slots=True)
-class LmiProgram:
+class LmiProgram(Struct):
     """Collects variables and inequalities, then minimises a scalar or maximises the margin.
 
     ``reach``: a bound on every entry that the inequalities contain themselves, if they do; a verdict "infeasible" then

@@ -12,12 +12,12 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.errors import DesignError, FieldError
 
@@ -108,8 +108,7 @@ Result = TypeVar("Result")
 Job = TypeVar("Job")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Workers:
+class Workers(Struct, frozen=True, kw_only=True):
     """Where the runs are computed.
 
     Args:

@@ -35,11 +35,11 @@ E. C. Fieller, "Some problems in interval estimation", J. R. Statist. Soc. B 16 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.errors import FieldError, check_above_zero
 
@@ -182,8 +182,7 @@ def _sample(values: npt.ArrayLike, level: float) -> FloatArray:
     return sample
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StopRule:
+class StopRule(Struct, frozen=True, kw_only=True):
     """Stop when the interval of a mean or deviation is narrow enough; see the module's docstring for the error rate.
 
     Args:
@@ -224,8 +223,7 @@ class StopRule:
 Decision = Literal["at least p1", "at most p0"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SequentialTest:
+class SequentialTest(Struct, frozen=True, kw_only=True):
     """A sequential test of p <= p_0 against p >= p_1.
 
     It is Wald's: it looks after every run, and stops as soon as its two errors allow.

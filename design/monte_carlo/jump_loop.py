@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
@@ -44,8 +44,7 @@ class Visits(NamedTuple):
     stop_s: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JumpLoop:
+class JumpLoop(Struct, frozen=True, kw_only=True, eq=False):
     """System, gain and process of one closed loop, with its start.
 
     Args:

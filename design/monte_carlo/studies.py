@@ -12,11 +12,11 @@ References: thesis Section 2.5 and (2.28), (7.14); ERRATA 5 and 8.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial, reduce
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.errors import FieldError, check_above_zero
 from design.jump_linear import MJLS
@@ -28,8 +28,7 @@ CHUNK = 1024
 """Runs computed together. Part of the definition of the result's last bits: change it and they may change."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Study:
+class _Study(Struct, frozen=True, kw_only=True, eq=False):
     """What one chunk needs to know; it travels to the workers."""
 
     loop: JumpLoop
@@ -165,8 +164,7 @@ CHAIN_BLOCKS = 64
 """Blocks of random numbers of a chain that are drawn at once."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _ChainEnergies:
+class _ChainEnergies(Struct, frozen=True, kw_only=True, eq=False):
     """What one chunk of `mjls_energies` needs to know, and how it computes them; it travels to the workers."""
 
     system: MJLS

@@ -19,10 +19,10 @@ f(k). All of this is in the recursion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.controllers import Selection
 from design.controllers.gain_rows import held_exactly, steady_state
@@ -34,8 +34,7 @@ from design.networked_loop.moment_recursion import MomentRecursion
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prediction:
+class Prediction(Struct, frozen=True, kw_only=True):
     """Exact moments of the tracking error e = y - target at slots k = 0..K-1 over the randomness of the network.
 
     Args:

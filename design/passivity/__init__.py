@@ -9,11 +9,11 @@ Reference: Chapter 6, (6.1), (6.2), (6.4) and Figure 6.4; delays in the state.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 from scipy.linalg import expm, logm
 
 from design.controllers.rendered_wall import Coupler
@@ -30,8 +30,7 @@ LEAST_LEFT: Final = 1e-12
 """Of a speed at the end of a sample: of less, a model in double precision has too few digits to tell how it was lost."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeldDevice:
+class HeldDevice(Struct, frozen=True, kw_only=True):
     """A device and the hand that holds it rigidly.
 
         (m + m_h) x'' + (b + b_h) x' + k_h x = u + push,     u held over a sample
@@ -102,8 +101,7 @@ def continuous(A: Array, B: Array, period_s: float) -> Array:
     return found
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HapticLoop:
+class HapticLoop(Struct, frozen=True, kw_only=True):
     """A held device that presses on a wall through a coupler and a network.
 
     State, M the longer of coupler and force delay:

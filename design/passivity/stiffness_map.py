@@ -8,10 +8,10 @@ delay, 2009.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material
@@ -78,8 +78,7 @@ def exact_n_per_m(device: HeldDevice, period_s: float, delay: int, wall_damping_
     return low
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StiffnessCell:
+class StiffnessCell(Struct, frozen=True, kw_only=True):
     """What is possible at one rate, delay and hand damping; stiffnesses in N/m.
 
     Args:

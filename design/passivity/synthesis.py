@@ -20,12 +20,12 @@ Reference: Theorem 6.1; ERRATA 22; (6.12), whose weight W is this one.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.controllers.rendered_wall import MAX_TAPS, Coupler
 from design.errors import DesignError, FieldError, Infeasible
@@ -37,8 +37,7 @@ WEIGHTED_ROUNDS = 60
 WEIGHT_SLACK = 1e-4  # of the largest |W C| on the grid
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CouplerDesign:
+class CouplerDesign(Struct, frozen=True, kw_only=True):
     """The stiffest coupler that was found, and how far it is from what is possible.
 
     Args:
@@ -229,8 +228,7 @@ def least_sum(delays: Iterable[int], *, varying: bool = False) -> float:
     return float(largest.mean())
 
 
-@dataclass(frozen=True, slots=True)
-class Weight:
+class Weight(Struct, frozen=True):
     """A weight of a user's own, W(z) = (b_0 + b_1 z^-1 + ...)/(a_0 + a_1 z^-1 + ...), stable: where a coupler is to be stiff.
 
     Raises:

@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
 from scipy.linalg import expm
 
 from design.errors import FieldError
@@ -91,8 +91,7 @@ def factors(uncertainty: NormBounded, mode: int, size: int) -> tuple[FloatArray,
     return left, right
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class Box(Struct, frozen=True, kw_only=True):
     """Bounds on the rates out of one mode over a stretch of its sojourn (1/s), each of shape (N,)."""
 
     low: FloatArray
@@ -107,8 +106,7 @@ class Box:
         return float((self.low if upper else self.high).sum())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PeriodMoments:
+class PeriodMoments(Struct, frozen=True, kw_only=True, eq=False):
     """The maps of one period, from z at its start to xi = (x, v_0, ..., v_-(D-1)) at its end.
 
     Args:

@@ -19,11 +19,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from design.controllers.scheduled_gain import Schedule, ScheduledGain, tabulated
 from design.errors import FieldError, Infeasible, check_at_least_zero
@@ -107,8 +108,7 @@ def tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Sch
     return tabulated(rows, schedule)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FeedbackRequest:
+class FeedbackRequest(Struct, frozen=True, kw_only=True):
     """Gains K(i, h) that make the loop mean-square stable for every admissible uncertainty and rate (Corollary 2.2, sound).
 
     Args:

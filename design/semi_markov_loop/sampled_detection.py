@@ -11,10 +11,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from msgspec import Struct
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -39,8 +40,7 @@ CONDITION = 1e5
 """Largest condition number of P that is searched."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DetectionLoop:
+class DetectionLoop(Struct, frozen=True, kw_only=True, eq=False):
     """The loop of Chapter 4 on pairs (eta, r), index eta N_r + r, with the gain of every pair.
 
     Args:

@@ -20,9 +20,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from scipy.sparse.linalg import ArpackError, eigs
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -52,8 +52,7 @@ METHOD = "sampled jump loop: plant times network as a jump-linear system"
 ASSUMED = ("the rates are as given, within their own bounds", "the periods are exact", "no packet is later than its law says")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RandomDelayLoop:
+class RandomDelayLoop(Struct, frozen=True, kw_only=True, eq=False):
     """Matrices, rates and gain of every mode, and the delay chains.
 
     Args:

@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from scipy.linalg import expm
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -38,8 +38,7 @@ _STEPS = 200_000
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _ModeMoments:
+class _ModeMoments(Struct, frozen=True, kw_only=True, eq=False):
     """One mode's integrand: nodes h, weights f_ij(h) dh (nodes, N), Phi(x)Phi on svec (nodes, q, q), and the endless cell.
 
     Where the rates never settle, ``tail_rates`` is None, ``limit`` the limit of their total, and ``spent`` the H that was used up

@@ -14,11 +14,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
 
 import numpy as np
+from msgspec import Struct
 
 from design.controllers.scheduled_gain import ScheduledGain, tabulated
 from design.errors import FieldError
@@ -28,8 +28,7 @@ from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
+class Cell(Struct, frozen=True, kw_only=True):
     """One cell of one mode.
 
     Args:

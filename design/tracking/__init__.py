@@ -22,6 +22,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.errors import FieldError, check_above_zero
 from design.networked_loop.affine_loop import LoopStructure
@@ -54,8 +55,7 @@ def embed(gains: Array, finer_rows: int) -> Array:
     return np.asarray(np.tile(gains, (1, finer_rows // gains.shape[1], 1, 1)))
 
 
-@dataclass(frozen=True, slots=True)
-class GainParametrisation:
+class GainParametrisation(Struct, frozen=True):
     """Coordinates v of the gains K: equal gains share coordinates, gains without effect are zero.
 
     Fields: `shape` of K, (sc labels, rows, m, py); `block` (sc labels, rows), index of the free gain, -1 where a

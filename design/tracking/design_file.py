@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import os
 import stat
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from design.controllers import LoopModel
 from design.errors import FieldError
@@ -61,8 +61,7 @@ def read_json(path: Path) -> Any:
 FORMAT = "hilrig-design/1"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DesignFile:
+class DesignFile(Struct, frozen=True, kw_only=True):
     """What a loop needs of a design file.
 
     Args:

@@ -15,9 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from msgspec import Struct
 
 from design.errors import FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
@@ -38,8 +39,7 @@ ROUGH = 1e-6
 """Relative gain below which a descent stops whose result is only a start."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Design:
+class Design(Struct, frozen=True, kw_only=True):
     """Gains with everything known of them.
 
     Args:

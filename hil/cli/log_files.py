@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -195,12 +194,14 @@ def replay(
 
 
 def _ask(run: Run, file: Path, uri: str) -> None:
+    from msgspec import to_builtins
+
     from hil.session.replay.over_link import ask_process
 
     with Working(f"sensor packets to {uri}"):
         done = ask_process(run, uri, str(file))
     lines = (*map(visible, done.differences), f"{done.different} of {done.compared} answers differ")
-    answer(asdict(done), lambda: print(*lines, sep="\n"))
+    answer(to_builtins(done), lambda: print(*lines, sep="\n"))
     sys.exit(1 if done.different else 0)
 
 
@@ -221,6 +222,8 @@ def _signed(file: Path, key: Path) -> Run:
 
 
 def _verify(run: Run, file: Path, folder: str | None, auth: Path | None) -> None:
+    from msgspec.structs import asdict
+
     from hil.log.run import records_sha256
     from hil.session.replay.recorded import verify_tags
     from hil.session.replay.replay import changed_files, experiment_of, verify

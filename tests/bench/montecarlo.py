@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
@@ -142,7 +142,7 @@ def bench_montecarlo(progress: Callable[[str], None] = lambda text: None) -> lis
         lambda: mean_states(loop, RUNS, duration_s=DURATION_S, dt_s=DT_S, seed=SEED),
     )
     weibull = WeibullRate(scale_s=1.0, shape=2.0)
-    newton = replace(loop, process=SemiMarkov(rates=((None, weibull), (weibull, None))))
+    newton = structs.replace(loop, process=SemiMarkov(rates=((None, weibull), (weibull, None))))
     row("engine, one core, Weibull(1, 2) rates", lambda: engine(newton, Workers()))
     slow = paths(loop, LOOP_RUNS)
     numpy_loop(slow[0])

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from scipy import optimize, special, stats
 
 from transport.law_fit.packet_record import Array
@@ -25,8 +26,7 @@ TIES = 0.05
 """A record with so few different values, as a share of all, has atoms."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LatencyFit:
+class LatencyFit(Struct, frozen=True, kw_only=True, eq=False):
     """A distribution of latencies.
 
     Attributes:

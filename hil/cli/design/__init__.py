@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import asdict
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -214,6 +213,8 @@ def stiffness_map(
 
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
+    from msgspec.structs import asdict
+
     from design.passivity.stiffness_map import stiffness_map
     from hil.files import check_output, check_page, write_output
     from hil.pages.analyses import stiffness_page

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import cache, reduce
 from operator import getitem
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
@@ -146,8 +147,7 @@ def _wall(loop: Loop) -> dict[str, Any] | None:
     return dict(wall) if isinstance(wall, dict) else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Window:
+class Window(Struct, frozen=True, kw_only=True):
     """Slots [first, end) in columns of so many slots.
 
     Args:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from msgspec import Struct
 
 from hil.compose import compose
 from hil.errors import HilError
@@ -26,8 +27,7 @@ LOOK_S = 0.1
 WHERE = {"virtual": "virtual time", "real": "real time"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RequestedRun:
+class RequestedRun(Struct, frozen=True, kw_only=True):
     """A run that the page is to show.
 
     Args:

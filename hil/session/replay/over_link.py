@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import chain, groupby
 from operator import itemgetter
 from typing import Final
 
 import numpy as np
+from msgspec import Struct
 
 from hil.errors import HilError
 from hil.log.read.can_log import measured_frames
@@ -52,8 +52,7 @@ MOST_TOLD: Final = 20
 """Differences that are kept, at most."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
+class Difference(Struct, frozen=True, kw_only=True):
     """One field of one answer.
 
     Args:
@@ -71,8 +70,7 @@ class Difference:
         return f"slot {self.slot}: {self.field} = {self.recorded} recorded, {self.now} now"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AnswerComparison:
+class AnswerComparison(Struct, frozen=True, kw_only=True):
     """Result of sending the recorded frames to a controller process.
 
     Args:
@@ -181,8 +179,7 @@ def _with_nodes(run: Run, uri: str, source: str) -> str:
     return link_of(rig_of(experiment_of(run, source)), uri).uri
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Playback:
+class Playback(Struct, frozen=True, kw_only=True):
     """How a playback kept its own time: error of each frame against its recorded instant, us."""
 
     frames: int

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from hmac import compare_digest
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from hil.compose.changed import changed
@@ -134,8 +134,7 @@ class Woken:
         return t_ns if self._next is None or self._next[0] != k else t_ns + round(self._next[1] * 1e3)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tags:
+class Tags(Struct, frozen=True, kw_only=True):
     """Result of verifying the tags of a log.
 
     Args:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -75,7 +74,7 @@ def test_the_bound_over_random_lossy_turns_is_what_the_best_causal_controller_co
     band = 3.29 * costs.std(ddof=1) / np.sqrt(len(costs))
     found = causal_bound(PLANT, arrivals, np.eye(2))
     assert abs(costs.mean() - found) < band
-    other = causal_bound(PLANT, replace(arrivals, loss=0.5), np.eye(2))
+    other = causal_bound(PLANT, structs.replace(arrivals, loss=0.5), np.eye(2))
     assert abs(costs.mean() - other) > 2 * band
 
 
@@ -87,7 +86,7 @@ def test_a_chain_that_never_doubts_is_the_cycle_and_every_loss_raises_the_bound(
     assert cycle is not None
     found = causal_bound(PLANT, cycle, np.eye(2))
     assert causal_bound(PLANT, chain, np.eye(2)) == pytest.approx(found, rel=1e-9)
-    values = [causal_bound(PLANT, replace(chain, loss=loss), np.eye(2)) for loss in (0.0, 0.1, 0.3)]
+    values = [causal_bound(PLANT, structs.replace(chain, loss=loss), np.eye(2)) for loss in (0.0, 0.1, 0.3)]
     assert full_state < values[0] < values[1] < values[2]
     everything = arrivals_of(structs.replace(NODES, turns=None))
     assert everything is not None and causal_bound(PLANT, everything, np.eye(2)) == pytest.approx(full_state, rel=1e-12)

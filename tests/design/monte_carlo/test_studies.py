@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -30,7 +30,7 @@ def loop(gain: ScheduledGain | None = None, **changes: object) -> JumpLoop:
         start=CHAPTER2_START,
         uncertain=True,
     )
-    return replace(base, **changes)  # type: ignore[arg-type]
+    return structs.replace(base, **changes)  # type: ignore[arg-type]
 
 
 def integrate(loop: JumpLoop, run: int, duration_s: float, grid: np.ndarray) -> np.ndarray:

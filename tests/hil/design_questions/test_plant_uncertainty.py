@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec import structs
 
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import LocalDesigned, solve_tracking
@@ -55,7 +56,7 @@ def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
     (one,) = reported["parameters"]
     assert one["low"] == pytest.approx(0.95 * 172.38) and reported["digest"] != sure["verdict"]["digest"]
     target, design = plain_design()
-    louder = dataclasses.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
+    louder = structs.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
     states = [judge_uncertain(target, louder, [interval(target.of, f"gain={width}%")]).state for width in (20, 50)]
     assert states == ["undecided", "refused"]
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from hil.compose import compose
 from hil.errors import HilError
@@ -137,9 +138,9 @@ def still() -> Iterator[Page]:
 
 def test_virtual_time_is_paced_and_begins_at_once_unless_it_is_held(tmp_path: Path) -> None:
     plain = asked(tmp_path, "dc-motor-hinf", [])
-    begun, paused = plain.pacer(), replace(plain, paused=True).pacer()
+    begun, paused = plain.pacer(), structs.replace(plain, paused=True).pacer()
     assert begun is not None and paused is not None and (begun.paused, paused.paused) == (False, True)
-    assert replace(plain, clock="real").pacer() is None
+    assert structs.replace(plain, clock="real").pacer() is None
 
 
 def test_a_page_says_what_it_waits_for_before_a_run_begins(tmp_path: Path) -> None:
@@ -151,7 +152,7 @@ def test_a_page_says_what_it_waits_for_before_a_run_begins(tmp_path: Path) -> No
 
     side = Side()
     with pytest.raises(HilError, match="no log"):
-        _run([replace(asked(tmp_path, "dc-motor-hinf", []), path=path)], [side], None, None)
+        _run([structs.replace(asked(tmp_path, "dc-motor-hinf", []), path=path)], [side], None, None)
     assert waits == ["composing dc-motor-hinf: gains and certificate"] and side.status == "ended"
 
 
