@@ -115,11 +115,27 @@ def test_as_many_messages_as_are_allowed_take_no_minutes(tmp_path: Path) -> None
     assert len(found["messages"]) == 1000 and all(each["in_time"] for each in found["messages"])
 
 
-@pytest.mark.parametrize("line", ["BO_ 1 M: 99999999 A", "BO_ 1 M: 8 A\n SG_ S : 0|99999999@1+ (1,0) [0|0] \"\" A"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "BO_ 1 M: 99999999 A", "BO_ 1 M: 8 A\n SG_ S : 0|99999999@1+ (1,0) [0|0] \"\" A", "BO_ 1 M\n:\n+99999999 A",
+        "BO_ 1 M: // 8\n99999999 A", "BO_ 1 M: 8 A SG_ S : 0 |\n99999999 @1+ (1,0) [0|0] \"\" A",
+        'CM_ "\\";\nBO_ 1 M: 99999999 A',
+    ],
+)  # fmt: skip
 def test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once(line: str, tmp_path: Path) -> None:
     (tmp_path / "t.dbc").write_text(f'VERSION ""\nBU_: A\n{line}\n')
     with within(), pytest.raises(HilError, match=r"is no DBC: .*no message has so many bits"):
         run(str(tmp_path / "t.dbc"), "--bitrate", "500k")
+
+
+def test_a_dbc_of_empty_lines_costs_no_minutes_and_a_comment_may_hold_any_number(tmp_path: Path) -> None:
+    said = 'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\nCM_ "ticket: 1234567 |1234567@ \\" // :";\n'
+    cycle = 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_DEF_DEF_ "GenMsgCycleTime" 100;\n'
+    (tmp_path / "t.dbc").write_text(said + 50_000 * "\n" + cycle)
+    with within():
+        found = json.loads(run(str(tmp_path / "t.dbc"), "--bitrate", "500k", "--duration", "0.1", "--json"))
+    assert [each["name"] for each in found["messages"]] == ["M"]
 
 
 def test_messages_of_a_dbc_that_say_no_cycle_time_are_named(tmp_path: Path) -> None:
