@@ -28,36 +28,33 @@ def test_every_plot_of_a_report_is_written(tmp_path: Path, capsys: pytest.Captur
     assert b"angle (rad)" in (tmp_path / "figures" / names[1]).read_bytes()
 
 
-def test_plots_are_numbered_and_of_the_size_asked_for(tmp_path: Path) -> None:
-    blocks = (FIGURES[1], Text(text="no plot"), FIGURES[10])
-    section = Section(title="s", blocks=blocks)
-    (tmp_path / "theirs").write_text("kept")
-    (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "01-scales.svg").symlink_to(tmp_path / "theirs")
-    drawing, document, *more = write_figures([section], tmp_path / "new", width_mm=127.0, height_mm=50.8)
-    assert (tmp_path / "theirs").read_text() == "kept", "none is written through a link"
-    assert [path.name for path in (drawing, document, *more)] == [
-        "01-scales.svg", "01-scales.pdf", "02-chain.svg", "02-chain.pdf"
-    ]  # fmt: skip
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The files of a plot of counts with words of a stranger, and of a matrix; where the first goes is a link."""
+    ages = Series(label="$x$", x=10 * np.arange(2.0), y=np.arange(2.0))
+    plot = Figure(title="t", y_label="$^{$ \udcff", series=(ages, replace(ages, label="b")), integer_y=True)
+    section = Section(title="s", blocks=(plot, Text(text="no plot"), FIGURES[10]))
+    folder = tmp_path_factory.mktemp("plots")
+    (folder / "theirs").write_text("kept")
+    (folder / "new").mkdir()
+    (folder / "new" / "01-t.svg").symlink_to(folder / "theirs")
+    return write_figures([section], folder / "new", width_mm=127.0, height_mm=50.8)
+
+
+def test_plots_are_numbered_and_of_the_size_asked_for(written: list[Path]) -> None:
+    drawing, document, *_ = written
+    assert (drawing.parents[1] / "theirs").read_text() == "kept", "none is written through a link"
+    assert [path.name for path in written] == ["01-t.svg", "01-t.pdf", "02-chain.svg", "02-chain.pdf"]
     size = ElementTree.parse(drawing).getroot()
     assert (size.get("width"), size.get("height")) == ("360pt", "144pt") and document.read_bytes().startswith(b"%PDF")
 
 
-@pytest.fixture(scope="module")
-def drawing(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A plot of counts with words of a stranger."""
-    ages = Series(label="$x$", x=10 * np.arange(2.0), y=np.arange(2.0))
-    plot = Figure(title="t", y_label="$^{$ \udcff", series=(ages, replace(ages, label="b")), integer_y=True)
-    drawn, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path_factory.mktemp("drawing"))
-    return drawn.read_text()
+def test_a_dollar_sign_of_a_stranger_begins_no_formula(written: list[Path]) -> None:
+    assert all(text in written[0].read_text() for text in ("$^{$ \\udcff", "$x$"))
 
 
-def test_a_dollar_sign_of_a_stranger_begins_no_formula(drawing: str) -> None:
-    assert all(text in drawing for text in ("$^{$ \\udcff", "$x$"))
-
-
-def test_what_is_counted_has_whole_ticks_and_a_legend_hides_what_is_behind_it(drawing: str) -> None:
-    parts = [*ElementTree.fromstring(drawing).iter()]
+def test_what_is_counted_has_whole_ticks_and_a_legend_hides_what_is_behind_it(written: list[Path]) -> None:
+    parts = [*ElementTree.parse(written[0]).iter()]
     words = {part.text or "" for part in parts if part.tag.endswith("text")}
     assert {"0", "1"} <= words and not any("." in word for word in words)
     (legend,) = (part for part in parts if (part.get("id") or "").startswith("legend"))

@@ -69,7 +69,7 @@ def test_a_client_reads_the_values_of_a_running_rig(tmp_path: Path) -> None:
 
 
 def test_a_run_with_a_client_that_reads_nothing_is_the_same_run(tmp_path: Path) -> None:
-    experiment = load_experiment("dc-motor-hinf", ["duration=200"])
+    experiment = load_experiment("dc-motor-hinf", ["duration=100"])
     alone = run_session(experiment, path=tmp_path / "a.mcap").summary["log"]["sha256"]
     with Foxglove(0) as server, connected(int(server.url.rpartition(":")[2]), PROTOCOL) as client:
         client.send({"op": "subscribe", "subscriptions": [{"id": i, "channelId": i} for i in range(1, 3)]})

@@ -178,9 +178,9 @@ def test_the_mouse_is_the_hand(tmp_path: Path, browser: chromium.Page) -> None:
         until(lambda: page.view()["draft"]["number"] > pressed, "the move")
         until(lambda: page.view()["draft"]["state"] == "armed", "the move in the run")
         browser.mouse("mouseReleased", x + 0.75 * wide, y)
-        page.wish(do="step", slots=900)
-        until(lambda: page.view()["slots"] == 900, "900 slots")
-        until(lambda: browser.evaluate("window.hilLive.runs[0].now.slots") == 900, "the page")
+        page.wish(do="step", slots=400)
+        until(lambda: page.view()["slots"] == 400, "400 slots")
+        until(lambda: browser.evaluate("window.hilLive.runs[0].now.slots") == 400, "the page")
         assert browser.problems == []
     finally:
         page.end()

@@ -53,7 +53,7 @@ def test_a_restart_stops_the_run_that_is_there_and_not_the_next(monkeypatch: pyt
 
 def test_a_change_that_takes_many_slots_to_compose_is_armed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """In real time the run goes on meanwhile: on a busy machine no change came ahead of it, and the page waited for ever."""
-    side, loop = Side(acts=True), compose(load_experiment("dc-motor-hinf"))
+    side, loop = Side(acts=True), compose(load_experiment("dc-motor-hinf"), certify=False)
     side.begin(loop, channels_of(loop))
     due, asked = side.changes, []
     assert due is not None
@@ -76,7 +76,7 @@ def test_a_change_that_takes_many_slots_to_compose_is_armed_all_the_same(monkeyp
 
 def test_a_run_that_a_wish_names_twice_is_changed_once() -> None:
     """A wish has room for thirty thousand numbers of runs, each of which was composed."""
-    side, loop = Side(acts=True), compose(load_experiment("dc-motor-hinf"))
+    side, loop = Side(acts=True), compose(load_experiment("dc-motor-hinf"), certify=False)
     side.begin(loop, channels_of(loop))
     desk = Desk([side])
     try:
@@ -97,7 +97,7 @@ def test_a_plant_that_is_a_table_of_lists_may_change_entry_by_entry() -> None:
 
 def test_a_wall_follows_no_reference_and_shows_none() -> None:
     for name, shown in (("omni-push", False), ("dc-motor-hinf", True)):
-        side, loop = Side(PacedClock(), acts=True), compose(load_experiment(name))
+        side, loop = Side(PacedClock(), acts=True), compose(load_experiment(name), certify=False)
         side.begin(loop, channels_of(loop))
         assert ("/reference" in {each.topic for each in side.traces}) == shown, name
 
@@ -106,7 +106,7 @@ def test_the_page_waits_for_no_other_experiment(monkeypatch: pytest.MonkeyPatch)
     """What a page is drawn from loads nothing; the controllers that it offers come behind it."""
     side = Side(PacedClock(), acts=True)
     assert about([side], "here")["runs"] == [{"name": "", "traces": [], "waits": ""}] and controllers_of(side) == {}
-    side.begin(compose(load_experiment("dc-motor-hinf")), {})
+    side.begin(compose(load_experiment("dc-motor-hinf"), certify=False), {})
     loaded: list[str] = []
 
     def load(name: str) -> Experiment:
