@@ -6,7 +6,7 @@ import re
 from typing import Final
 
 UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-_NUMBER: Final = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_NUMBER: Final = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 PATTERN: Final = rf"^\s*{_NUMBER}\s*(?:{'|'.join(UNITS)})?\s*$"
 """Of the text of a duration, for a JSON Schema too."""
 

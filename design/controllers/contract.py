@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 Selection = Literal["constant", "generated", "applied", "previous", "both"]
 Rows = tuple[tuple[float, ...], ...]
 Gains = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [tau][row][m][p]
+StateGains = tuple[tuple[tuple[float, ...], ...], ...]  # [tau][c][p + c]
 
 
 def row_count(selection: Selection | str, d_max: int, row_sojourns: int = 1) -> int:
@@ -230,6 +231,14 @@ class ClampedIntegral(Protocol):
 
 
 @runtime_checkable
+class OwnState(Protocol):
+    """A table of gains with a state xi of the controller's own, of size c: its gains have c columns more, of xi."""
+
+    state_gains: StateGains
+    """[tau][c][p + c]: xi(k+1) of the samples and xi(k), for every table of gains; empty: no state."""
+
+
+@runtime_checkable
 class SojournDependent(Protocol):
     """A controller whose gains depend on how long the measured delay has lasted."""
 
@@ -260,6 +269,7 @@ class ControllerTraits(Struct, frozen=True, kw_only=True):
         samples: how many one sensor packet carries, see `SeveralSamples`.
         integrates: whether it integrates the measured error, see `IntegralAction`.
         integral_limit: size at which the sum of each output's errors is clamped, see `ClampedIntegral`; empty: no clamp.
+        state_gains: by which its own state goes on, see `OwnState`; empty: it has none.
         sojourns: lengths of stay at the measured delay that it distinguishes, see `SojournDependent`; empty: none.
         row_sojourns: lengths of stay at d that have a row each, see `RowsOfStays`.
         ages: how many ages of each node it distinguishes, see `DistinguishesAges`; empty: none.
@@ -268,9 +278,15 @@ class ControllerTraits(Struct, frozen=True, kw_only=True):
     samples: int = 1
     integrates: bool = False
     integral_limit: tuple[float, ...] = ()
+    state_gains: StateGains = ()
     sojourns: int | Sequence[int] = ()
     row_sojourns: int = 1
     ages: tuple[int, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """Size of its own state."""
+        return len(self.state_gains[0]) if self.state_gains else 0
 
 
 def controller_traits(controller: object) -> ControllerTraits:
@@ -279,6 +295,7 @@ def controller_traits(controller: object) -> ControllerTraits:
         samples=int(controller.samples) if isinstance(controller, SeveralSamples) else 1,
         integrates=isinstance(controller, IntegralAction) and bool(controller.integral),
         integral_limit=tuple(controller.integral_limit) if isinstance(controller, ClampedIntegral) else (),
+        state_gains=controller.state_gains if isinstance(controller, OwnState) else (),
         sojourns=controller.sojourns if isinstance(controller, SojournDependent) else (),
         row_sojourns=int(controller.row_sojourns) if isinstance(controller, RowsOfStays) else 1,
         ages=tuple(controller.ages) if isinstance(controller, DistinguishesAges) else (),

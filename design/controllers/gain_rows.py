@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
-from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection
+from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection, StateGains
 from design.controllers.exact_products import Matrix, dot, of_size_one, pseudo_inverse, rank_of
 from design.errors import DesignError
 
@@ -136,19 +136,16 @@ class GainRows:
     """u = u* + K[tau, row] Y, see `GainIndex`.
 
     Y is the error y - r of every sample in the packet, newest first, and with ``integral`` below these the sum of the newest
-    errors of all earlier slots; where it has a `limit` for each output, the sum is clamped to it in every slot.
+    errors of all earlier slots; where it has a `limit` for each output, the sum is clamped to it in every slot. With `state`,
+    (tables, c, width), Y ends with xi(k), and xi(k+1) = state[tau] Y.
     """
 
     def __init__(
-        self,
-        K: Matrix,
-        selection: Selection,
-        model: LoopModel,
-        integral: bool = False,
-        sojourns: Sequence[int] = (),
-        limit: Sequence[float] = (),
-    ) -> None:
+        self, K: Matrix, selection: Selection, model: LoopModel, integral: bool = False, sojourns: Sequence[int] = (),
+        limit: Sequence[float] = (), state: StateGains = (),
+    ) -> None:  # fmt: skip
         self.selection = selection
+        self._state, self._xi = state, [0.0] * len(state[0]) if state else []
         self._limit = tuple(map(float, limit))
         self._sum = [0.0] * model.C.shape[0] if integral else []
         self._gains: Gains = nested(K)
@@ -163,12 +160,14 @@ class GainRows:
             error, held = y[0] - r[0], self._omega[0][0] * r[0]
             return tuple([(held + g * error,) for g in self._scalars[self._index.at(tau)]])
         e = [a - b for a, b in zip(y, cycle(r))]
-        known = e + self._sum
+        known, index = e + self._sum + self._xi, self._index.at(tau)
         self._sum = [s + x for s, x in zip(self._sum, e)]
         if self._limit:
             self._sum = [min(max(s, -most), most) for s, most in zip(self._sum, self._limit)]
+        if self._state:
+            self._xi = [dot(row, known) for row in self._state[index]]
         star = [dot(row, r) for row in self._omega]
-        return tuple([tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._index.at(tau)]])
+        return tuple([tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[index]])
 
 
 class NodeGainRows:
@@ -222,12 +221,15 @@ class BatchGainRows:
         integral: whether the gains have p columns for the sum of the newest errors.
         sojourns: how many tables every tau has.
         limit: largest size of each sum; empty: any.
+        state: (tables, c, width), by which states of its own go on; empty: none.
     """
 
     def __init__(
         self, K: Matrix, selection: Selection, model: LoopModel, runs: int, integral: bool = False, sojourns: Sequence[int] = (),
-        limit: Sequence[float] = (),
+        limit: Sequence[float] = (), state: StateGains = (),
     ) -> None:  # fmt: skip
+        self._state = np.ascontiguousarray(np.moveaxis(np.array(state), 0, -1)) if state else None  # (c, width, tables)
+        self._xi = np.zeros((0 if self._state is None else len(self._state), runs))
         self._limit = np.array(limit, dtype=np.float64)[:, None]
         self.selection = selection
         self.memory: int | None = None
@@ -251,19 +253,20 @@ class BatchGainRows:
         """
         started, y, r = known.started, known.y, known.reference
         tau = known.ages[0] if len(known.ages) == 1 else known.ages.max(axis=0)
-        gains = self._gains.take(self._gain(started, tau), axis=-1)
+        tables = self._gain(started, tau)
+        gains = self._gains.take(tables, axis=-1)
         if self._scalar:
             scalar: Matrix = self._omega[0][0] * r[0] + gains[:, :, 0] * (y[0] - r[0])
             return scalar
         error = [row - r[j % len(r)] for j, row in enumerate(y)]
-        summands = [*error, *self._sum]
+        summands = [*error, *self._sum, *self._xi]
         if len(self._sum):
             added = self._sum + np.array(error[: len(self._sum)])
             added = np.clip(added, -self._limit, self._limit) if len(self._limit) else added
             self._sum = np.where(started, added, self._sum)
-        total = np.zeros((gains.shape[0], gains.shape[1], gains.shape[3]))
-        for j, x in enumerate(summands):
-            total += gains[:, :, j] * x
+        if self._state is not None:
+            self._xi = np.where(started, _products(self._state.take(tables, axis=-1), summands), self._xi)
+        total = _products(gains, summands)
         star = np.array([dot(row, r) for row in self._omega])
         return star[:, None] + total
 
@@ -275,6 +278,14 @@ class BatchGainRows:
         index = np.where(tau == self._tau, np.minimum(self._index + 1, self._last.take(at)), first)
         self._tau, self._index = np.where(started, tau, self._tau), np.where(started, index, self._index)
         return index
+
+
+def _products(gains: Matrix, summands: Sequence[Matrix]) -> Matrix:
+    """Gains (..., width, runs) times what is known, (runs,) each, summed in its order as one run alone does."""
+    total = np.zeros((*gains.shape[:-2], gains.shape[-1]))
+    for j, x in enumerate(summands):
+        total += gains[..., j, :] * x
+    return total
 
 
 class NodeGainRowsOfMany:

@@ -19,6 +19,7 @@ from design.controllers.contract import (
     MultiSampleController,
     RunningController,
     Selection,
+    StateGains,
     check_row_sojourns,
     row_count,
 )
@@ -42,6 +43,8 @@ class SendAll:
         samples: samples per packet: the gains have p columns for y(k - tau), then p for y(k - tau - 1), and so on.
         ages: several sensor nodes: how many ages 0, 1, ... of each node have tables of their own, those of the last node first
             (as digits count); by default a table belongs to the oldest of the nodes' ages.
+        state_gains: [tau][c][p + c], for a state xi of the controller's own, of size c: xi(k+1) = state_gains[tau] [y; xi], y the
+            errors of the samples. The gains have c more columns, of xi.
         row_sojourns: how many rows belong to every d, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
             semi-Markov delays: [tau][d row_sojourns + slots - 1][m][p], for ``selection = "applied"``.
     """
@@ -54,6 +57,7 @@ class SendAll:
     integral_limit: tuple[float, ...] = ()
     sojourns: tuple[int, ...] = ()
     samples: int = 1
+    state_gains: StateGains = ()
     ages: tuple[int, ...] = ()
     row_sojourns: int = 1
 
@@ -74,6 +78,15 @@ class SendAll:
             shape = ()
         if len(shape) != 4:
             raise FieldError("gains", "expected [tau][row][m][p] with equal lengths")
+        if self.state_gains:
+            if self.integral:
+                raise FieldError("state_gains", "a table with a state of its own has no integral beside it")
+            try:
+                own = np.asarray(self.state_gains, dtype=float).shape
+            except ValueError:
+                own = ()
+            if len(own) != 3 or own[0] != shape[0] or not 0 < own[1] < own[2] or own[2] != shape[3]:
+                raise FieldError("state_gains", f"shape {list(own)}, expected [{shape[0]}][c][{shape[3]}], c columns of xi")
         if self.sojourns and (min(self.sojourns) < 0 or sum(self.sojourns) != shape[0]):
             raise FieldError("sojourns", f"{list(self.sojourns)}, expected counts whose sum is the number of tables, {shape[0]}")
 
@@ -83,7 +96,7 @@ class SendAll:
         if len(self.integral_limit) not in (0, p):
             raise FieldError("integral_limit", f"length {len(self.integral_limit)}, expected {p}: one for each output")
         rows = row_count(self.selection, model.d_max, self.row_sojourns)
-        width = p * (self.samples + self.integral)
+        width = p * (self.samples + self.integral) + (len(self.state_gains[0]) if self.state_gains else 0)
         if K.shape[1:] != (rows, m, width):
             raise FieldError(
                 "gains",
@@ -100,7 +113,9 @@ class SendAll:
         return K
 
     def start(self, model: LoopModel) -> RunningController | MultiSampleController:
-        running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns, self.integral_limit)
+        running = GainRows(
+            self.table(model), self.selection, model, self.integral, self.sojourns, self.integral_limit, self.state_gains
+        )  # fmt: skip
         if len(self.ages) < 2:  # of one node, the age is tau itself
             return running
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max, self.row_sojourns))
@@ -110,7 +125,7 @@ class SendAll:
         if len(self.ages) > 1 and model.nodes.silent:
             return None
         running = BatchGainRows(
-            self.table(model), self.selection, model, runs, self.integral, self.sojourns, self.integral_limit
+            self.table(model), self.selection, model, runs, self.integral, self.sojourns, self.integral_limit, self.state_gains
         )  # fmt: skip
         return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 

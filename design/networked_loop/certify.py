@@ -32,6 +32,7 @@ def certify_loop(
     output: str = "stacked",
     samples: int = 1,
     integral: float = 0.0,
+    state_gains: npt.ArrayLike = (),
     initial: npt.ArrayLike | None = None,
     hinf: bool = False,
 ) -> Certificate:
@@ -43,7 +44,7 @@ def certify_loop(
         gains: (tau labels, rows, m, p'), the convention u = u* + K[tau, row] (y - r).
         selection: how the row is chosen, see `design.networked_loop.closed_loop`.
         Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
-        output, samples, integral: as in `design.networked_loop.closed_loop.loop_structure`.
+        output, samples, integral, state_gains: as in `design.networked_loop.closed_loop.loop_structure`.
         initial: distribution of the mode at the impulse; default: uniform over plain chains, else stationary, see
             `design.networked_loop`.
         hinf: compute the H-infinity norm too (some 10 ms more).
@@ -57,7 +58,8 @@ def certify_loop(
     from design.whole_process import one_blas_thread
 
     structure = loop_structure(
-        A, B, C, Lambda, Pi, selection, Q=Q, R=R, output=output, samples=samples, integral=integral  # type: ignore[arg-type]
+        A, B, C, Lambda, Pi, selection, Q=Q, R=R, output=output, samples=samples, integral=integral,  # type: ignore[arg-type]
+        state_gains=state_gains,
     )  # fmt: skip
     with one_blas_thread():
         return certify_structure(structure, gains, output=output, initial=initial, hinf=hinf)

@@ -57,6 +57,8 @@ def loop_structure(
     samples: int = 1,
     integral: float = 0.0,
     store: Literal["output", "state"] = "output",
+    order: int = 0,
+    state_gains: npt.ArrayLike = (),
 ) -> LoopStructure:
     """Augment plant, network and information pattern to the jump-linear loop (7.14).
 
@@ -74,6 +76,9 @@ def loop_structure(
         integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y
             gets xi(k) as its last p entries, and z gets `integral` * xi(k) (stacked).
         store: "output" delays C x, "state" delays x as printed: same loop, more states.
+        order: states of the controller's own, xi, which Y gets as its last entries. Rows of the gains behind those of the packet
+            make xi(k+1), see `affine_loop.wired`.
+        state_gains: (sc labels, c, samples p + c), given, in their place: xi(k+1) = state_gains Y.
 
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
@@ -87,17 +92,22 @@ def loop_structure(
         raise FieldError("integral", f"{integral:g}, expected a finite weight >= 0")
     if selection not in SELECTIONS:
         raise FieldError("selection", f"{selection!r}, expected one of {', '.join(SELECTIONS)}")
-    own = int(integral > 0) * p
-    into = np.repeat(np.eye(own, samples * p)[None], int(sc_chain.label.max()) + 1, axis=0)
+    given = np.asarray(state_gains, dtype=np.float64)
+    if integral > 0 and (order or given.size):
+        raise FieldError("integral", f"{integral:g}, but a controller with a state of its own has none beside it")
+    own = order or (given.shape[1] if given.size else int(integral > 0) * p)
+    if not given.size:
+        sums = np.hstack([np.eye(own, samples * p), np.eye(own)]) if integral > 0 else np.zeros((own, samples * p + own))
+        given = np.repeat(sums[None], int(sc_chain.label.max()) + 1, axis=0)
     found = wired(
-        plant, sc_chain, ca_chain, selection, samples=samples, own=(np.repeat(np.eye(own)[None], len(into), axis=0), into),
-        weighs_input=True, store=store,
+        plant, sc_chain, ca_chain, selection, samples=samples, own=(given[..., samples * p :], given[..., : samples * p]),
+        weighs_input=True, store=store, free=order > 0,
     )  # fmt: skip
-    order = found.base.shape[-1]
-    xi = order - found.behind - own
+    states = found.base.shape[-1]
+    xi = states - found.behind - own
     weight = _performance_output(
-        plant[2], m, order, Q=Q, R=R, output=output, integral=integral, integral_at=xi,
-        input_at=order - m if selection in ("applied", "both") else xi + own,
+        plant[2], m, states, Q=Q, R=R, output=output, integral=integral, integral_at=xi,
+        input_at=states - m if selection in ("applied", "both") else xi + own,
     )  # fmt: skip
     return replace(found, C=np.repeat(weight[None], len(found.base), axis=0), integral=integral > 0)
 

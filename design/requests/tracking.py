@@ -106,6 +106,10 @@ class Designed:
         integral_limit: largest size of the sum of each output's errors, also of a file's gains, one entry per output;
             absent: no clamp.
         samples: samples per packet, 1 or 2: the newest, or also the one before.
+        order: states of the controller's own, by which it remembers; what makes them depends on the measured delay as the gains
+            do. 0: static gains.
+        reference_weight: size of a step of the reference, in every output, that is weighed in the norm beside an impulse at every
+            input; 0: none. Without it, a controller with a state takes a step for a disturbance, and answers hard.
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: lengths of stay at the measured delay that the gain distinguishes, in slots; 1: none.
         row_sojourns: over semi-Markov delays: lengths of stay at d that the gain distinguishes, in slots; the packet has a row
@@ -124,6 +128,8 @@ class Designed:
     integral: float = 0.0
     integral_limit: tuple[float, ...] = ()
     samples: Literal[1, 2] = 1
+    order: int = 0
+    reference_weight: float = 0.0
     design_seed: int = 0
     sojourns: int = 1
     row_sojourns: int = 1
@@ -137,6 +143,8 @@ class Designed:
             raise FieldError("integral_limit", "needs integral above 0: without it there is no sum to clamp")
         if self.sojourns < 1:
             raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
+        if self.order and self.integral:
+            raise FieldError("order", f"{self.order}, but a controller with a state of its own has no integral beside it")
         check_row_sojourns(self.row_sojourns, self.information, "information")
 
     @property
@@ -174,6 +182,7 @@ class Designed:
             own = sc.output_ages(p)[:, [outputs[0] for outputs in model.nodes.outputs]].T
             ages = tuple((own.max(axis=1) + 1).tolist())
             sc = structs.replace(sc, labels=labels_of(own, ages))
+        from design.tracking import state_gains_of
         from design.tracking.gain_cache import solve_cached
         from design.tracking.synthesis import TrackingProblem
 
@@ -181,14 +190,15 @@ class Designed:
         problem = TrackingProblem(
             A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, objective=self.objective, information=self.information, Q=Q,
             R=self.input_weight, output=self.output, hinf_bound=self.hinf_bound, gain_bound=self.gain_bound,
-            integral=self.integral, samples=self.samples, seed=self.design_seed,
+            integral=self.integral, samples=self.samples, seed=self.design_seed, order=self.order,
+            reference_weight=self.reference_weight,
         )  # fmt: skip
-        design = solve_cached(problem)
-        gains = nested(_rows(design.gains, ca, self.row_sojourns))
+        rows, state_gains = state_gains_of(solve_cached(problem).gains, self.order)
         sojourns = sc.sojourns if self.sojourns > 1 else ()
         return _covering(task, SendAll(
-            gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
-            ages=ages, row_sojourns=self.row_sojourns, integral_limit=self.integral_limit,
+            gains=nested(_rows(rows, ca, self.row_sojourns)), selection=problem.selection, integral=self.integral > 0,  # type: ignore[arg-type]
+            sojourns=sojourns, samples=self.samples, state_gains=nested(state_gains) if self.order else (), ages=ages,
+            row_sojourns=self.row_sojourns, integral_limit=self.integral_limit,
         ))  # fmt: skip
 
     def unfit(self, task: DesignTask) -> str:
@@ -262,9 +272,12 @@ def _covering(task: DesignTask, found: SendAll) -> SendAll:
         K = np.pad(pairs, [(0, 0), (0, more), (0, more), (0, 0), (0, 0)], mode="edge").reshape(len(K), -1, *K.shape[2:])
     elif more:
         K = np.pad(K, [(0, 0), (0, more * stays), (0, 0), (0, 0)], mode="edge")
+    state_gains = found.state_gains
     if not found.sojourns and not found.ages and int(sc.label.max()) < len(K):
-        K = np.pad(K, [(0, max(0, model.tau_max + 1 - len(K))), (0, 0), (0, 0), (0, 0)], mode="edge")
-    return replace(found, gains=nested(K))
+        tables = (0, max(0, model.tau_max + 1 - len(K)))
+        K = np.pad(K, [tables, (0, 0), (0, 0), (0, 0)], mode="edge")
+        state_gains += state_gains[-1:] * tables[1]
+    return replace(found, gains=nested(K), state_gains=state_gains)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,7 +24,7 @@ from scipy.linalg import block_diag, eigh
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi import Attenuation, Lift, as_float, decide, smallest_gamma
+from design.lmi import Attenuation, Lift, as_float, attenuation, decide
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
@@ -178,8 +178,9 @@ def analyse_fault_tolerant(
     eta_nodes: Partition | None = None,
     r_nodes: Partition | None = None,
     performance: Siqc | None = None,
+    gamma: float | None = None,
 ) -> JumpCertificate:
-    """The smallest certified gamma of given gains, or the verdict on a SIQC.
+    """The smallest certified gamma of given gains (or the verdict at a given gamma, or on a SIQC).
 
     Args:
         gain: K by what is measured: ("r",), ("eta", "r") with index eta * N_r + r, or () for one blind gain; sections on r's
@@ -226,7 +227,7 @@ def analyse_fault_tolerant(
         return Attenuation(gamma=None, scale=met.scale, found=found)
 
     certificate = attenuation_certificate(
-        partial(smallest_gamma, build, what) if performance is None else partial(siqc, performance), method="pwc",
+        partial(attenuation, build, what, gamma) if performance is None else partial(siqc, performance), method="pwc",
         gain=gain, assumptions=assumptions, rebuild=rebuild,
     )  # fmt: skip
     if not certificate.certified:

@@ -16,14 +16,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct
+from msgspec import Struct, structs
 
+from design.controllers.gain_rows import steady_state
 from design.errors import FieldError, check_above_zero
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.closed_loop import loop_structure
@@ -53,6 +55,17 @@ COARSER: dict[str, str] = {
 def embed(gains: Array, finer_rows: int) -> Array:
     """Gains of a coarser pattern (see `COARSER`) in the shape of the finer one, the loop being the same."""
     return np.asarray(np.tile(gains, (1, finer_rows // gains.shape[1], 1, 1)))
+
+
+def state_gains_of(gains: Array, order: int) -> tuple[Array, Array]:
+    """Return the rows of a packet, (labels, rows, m, p + c), and the gains of the controller's own state, (labels, c, p + c).
+
+    Args:
+        gains: as a `TrackingProblem` of that order has them.
+        order: c.
+    """
+    rows = gains.shape[1] - -(-order // gains.shape[2])
+    return gains[:, :rows], gains[:, rows:].reshape(len(gains), -1, gains.shape[3])[:, :order]
 
 
 class GainParametrisation(Struct, frozen=True):
@@ -115,12 +128,11 @@ def gain_parametrisation(
     """
     check_above_zero(gain_bound=bound)
     used = structure.used
+    key, rows = np.arange(used.size).reshape(used.shape), structure.packet_rows
     if information == "constant":
-        key = np.zeros(used.shape, dtype=np.int64)
+        key = np.tile(np.arange(used.shape[1]), (len(used), 1))
     elif information == "total":
-        key = sc.label_delay[:, None] + ca.label_delay[None, :]
-    else:
-        key = np.arange(used.size).reshape(used.shape)
+        key[:, :rows] = -1 - (sc.label_delay[:, None] + ca.label_delay[None, :])
     block = np.full(used.shape, -1, dtype=np.int64)
     block[used] = np.unique(key[used], return_inverse=True)[1]
     return GainParametrisation(structure.gain_shape, block, bound)
@@ -132,7 +144,9 @@ OBJECTIVES: tuple[str, ...] = get_args(Objective)
 METHODS: tuple[str, ...] = get_args(Method)
 DEFAULT_STARTS = {"h2": 2, "hinf": 4, "mixed": 2}
 MOST_STARTS = 10_000
-KINDS = dict.fromkeys(("starts", "seed", "samples"), Integral) | dict.fromkeys(("integral", "gain_bound"), Real)
+MOST_STATES = 16
+KINDS: dict[str, type] = dict.fromkeys(("starts", "seed", "samples", "order"), Integral)
+KINDS |= dict.fromkeys(("integral", "reference_weight", "gain_bound"), Real)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +166,10 @@ class TrackingProblem:
         gain_bound: bound on every |entry| of every gain; default none.
         samples: samples per sensor packet, 1 or 2.
         integral: weight of the integrated error in z, 0 for no integral.
+        order: states of the controller's own; 0 for static gains. The last rows of the gains make them, see
+            `design.networked_loop.closed_loop.loop_structure` and `state_gains_of`.
+        reference_weight: size of a step of the reference, in every output, that is weighed in the norm beside an impulse at every
+            input; 0 for none.
         initial: (modes,) distribution of the mode at the H2 impulse; default: uniform over plain chains, else stationary.
         seed, starts: of the multistart; `starts` 0 takes the objective's default.
         method: "direct", or "ccl" for the thesis's iterated linear matrix inequalities.
@@ -174,6 +192,8 @@ class TrackingProblem:
     gain_bound: float | None = None
     samples: int = 1
     integral: float = 0.0
+    order: int = 0
+    reference_weight: float = 0.0
     initial: npt.ArrayLike | None = None
     seed: int = 0
     starts: int = 0
@@ -198,6 +218,10 @@ class TrackingProblem:
                 raise FieldError(field, f"{getattr(self, field)!r:.40}, expected numbers") from None
         if not 0 <= self.starts <= MOST_STARTS:
             raise FieldError("starts", f"{self.starts}, expected a number from 0 to {MOST_STARTS}")
+        if not 0 <= self.reference_weight < math.inf:
+            raise FieldError("reference_weight", f"{self.reference_weight:g}, expected a finite number >= 0")
+        if not 0 <= self.order <= MOST_STATES:
+            raise FieldError("order", f"{self.order}, expected a number from 0 to {MOST_STATES}")
         if self.seed < 0:
             raise FieldError("seed", "expected a number >= 0")
         object.__setattr__(self, "sc", as_chain(self.sc, "Lambda"))
@@ -219,10 +243,16 @@ class TrackingProblem:
     def structure(self) -> LoopStructure:
         """The closed loop without its gains."""
         sc, ca = self.chains
-        return loop_structure(
+        found = loop_structure(
             self.A, self.B, self.C, sc, ca, self.selection,
             Q=self.Q, R=self.R, output=self.output, samples=self.samples, integral=self.integral,
+            order=self.order,
         )  # fmt: skip
+        if not self.reference_weight:
+            return found
+        stepped = found.standing(np.asarray(self.C, dtype=np.float64)) @ steady_state(self.A, self.B, self.C).state
+        drive = np.broadcast_to(self.reference_weight * stepped, (*found.B.shape[:2], stepped.shape[1]))
+        return structs.replace(found, B=np.concatenate([found.B, drive], axis=2))
 
     def space(self) -> GainParametrisation:
         """The free gains."""
@@ -253,7 +283,7 @@ class TrackingProblem:
             "method",
         ):  # fmt: skip
             plain[name] = getattr(self, name)
-        return plain
+        return plain | {name: value for name in ("order", "reference_weight") if (value := getattr(self, name))}
 
     def digest(self) -> str:
         """SHA-256 of the problem, equal for equal problems on any machine."""

@@ -24,7 +24,7 @@ from design.errors import FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
 from design.networked_loop.certify import LowerBounds, certify_structure, lower_bounds
 from design.processes.delay_chain import Array
-from design.tracking import COARSER, DEFAULT_STARTS, TrackingProblem, embed
+from design.tracking import COARSER, DEFAULT_STARTS, TrackingProblem, embed, state_gains_of
 from design.tracking.bfgs import Descent, bfgs
 from design.tracking.loop_objective import LoopObjective, check_plant, closed_classes, stabilising
 
@@ -182,11 +182,18 @@ def _first_stable(problem: TrackingProblem, objective: LoopObjective) -> Array:
 
 
 def _stable_starts(problem: TrackingProblem, objective: LoopObjective) -> Iterator[Array]:
-    """Coordinates from which stable gains are searched for: zero, a state feedback, random ones."""
-    zero = objective.space.coordinates(np.zeros(objective.space.shape))
+    """Coordinates from which stable gains are searched for: zero, a state feedback, random ones.
+
+    A controller's own state begins as the samples before; from zero, where it moves no input, no descent would leave.
+    """
+    none = np.zeros(objective.space.shape)
+    if problem.order:
+        p, made = len(np.asarray(problem.C)), state_gains_of(none, problem.order)[1]
+        made[:] = np.eye(problem.order, problem.samples * p + problem.order)
+    zero = objective.space.coordinates(none)
     yield zero
     with suppress(np.linalg.LinAlgError):  # an eigenvalue on the unit circle that z does not see
-        yield objective.space.coordinates(_state_feedback(problem, objective.space.shape))
+        yield objective.space.coordinates(none + _state_feedback(problem, objective.space.shape))
     rng = np.random.default_rng((problem.seed, RANDOM_STARTS))
     for _ in range(RANDOM_STARTS):
         yield zero + 0.1 * rng.standard_normal(zero.shape)
@@ -195,8 +202,9 @@ def _stable_starts(problem: TrackingProblem, objective: LoopObjective) -> Iterat
 def _state_feedback(problem: TrackingProblem, shape: tuple[int, int, int, int]) -> Array:
     """Return gains (shape) of a linear-quadratic state feedback, of the state that the samples of a packet show.
 
-    At a short period the gains on two samples are large and of opposite signs, far from zero. The samples are taken as those
-    of a plant without input, and carried over the S-C delay. The gains on an integral are 0.
+    At a short period the gains on two samples are large and of opposite signs, far from zero. The samples, and those before
+    them in a controller's own state, are taken as those of a plant without input, and carried over the S-C delay. The gains on
+    an integral are 0.
 
     Raises:
         LinAlgError: the Riccati equation has no solution.
@@ -204,13 +212,14 @@ def _state_feedback(problem: TrackingProblem, shape: tuple[int, int, int, int]) 
     from scipy.linalg import solve_discrete_are
 
     A, B, C = (np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C))
-    R, last = 1e-4 * np.eye(B.shape[1]), problem.samples - 1
+    R, last = 1e-4 * np.eye(B.shape[1]), problem.samples - 1 + problem.order // len(C)
     X = solve_discrete_are(A, B, C.T @ C, R)
     feedback = -np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)
     oldest = np.linalg.pinv(np.concatenate([C @ np.linalg.matrix_power(A, last - i) for i in range(last + 1)]))
     gains = np.zeros(shape)
+    rows = state_gains_of(gains, problem.order)[0]
     for label, delay in enumerate(problem.chains[0].label_delay.clip(0)):
-        gains[label, :, :, : oldest.shape[1]] = feedback @ np.linalg.matrix_power(A, int(delay) + last) @ oldest
+        rows[label, ..., : oldest.shape[1]] = feedback @ np.linalg.matrix_power(A, int(delay) + last) @ oldest
     return gains
 
 
@@ -219,7 +228,7 @@ def _other_start(
 ) -> Array | None:
     """Start 1 is the optimum of a coarser information pattern; then random ones, near first, later far."""
     space = objective.space
-    if start == 1 and problem.objective != "h2" and problem.information in COARSER:
+    if start == 1 and problem.objective != "h2" and problem.information in COARSER and not problem.order:
         coarser = replace(problem, information=COARSER[problem.information], starts=2, hinf_bound=None, initial=None)
         if coarser.objective == "mixed":
             coarser = replace(coarser, objective="hinf")

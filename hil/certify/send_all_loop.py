@@ -20,7 +20,7 @@ from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, jumping, limited_to_model, table_of, undecided
 from hil.certify.bounded_departures import ends_within
-from hil.rig.delay_chains import gains_within
+from hil.rig.delay_chains import gains_within, state_gains_within
 from hil.rig.loop import Array
 from plants.parts.protocols import JumpPlant
 
@@ -100,7 +100,7 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     try:
         table = table_of(loop, controller)
         table = table[..., : -len(loop.motion.C)] if clamped else table
-        gains = gains_within(table, controller.selection, loop.sc, loop.ca)
+        gains, state = gains_within(table, controller.selection, loop.sc, loop.ca), state_gains_within(controller, loop.sc)
     except FieldError as error:
         return undecided(loop, "mean-square stability", str(error))
     sc, ca, selection = loop.sc, loop.ca, controller.selection
@@ -110,12 +110,13 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     from design.networked_loop.closed_loop import loop_structure
 
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
-        return _closed(loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral), gains, C)
+        closed = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral, state_gains=state)
+        return _closed(closed, gains, C)
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
-    found = certify_loop(A, B, C, sc, ca, gains, selection, samples=samples, integral=integral)
+    found = certify_loop(A, B, C, sc, ca, gains, selection, samples=samples, integral=integral, state_gains=state)
     return ends_within(loop, second_moment_verdict(found, loop.digest), modes)
 
 

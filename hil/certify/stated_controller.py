@@ -111,7 +111,7 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Excitation] | Non
         table = SendAll(
             gains=nested(K), selection=controller.selection, samples=its.samples, ages=its.ages, integral=its.integrates,
             integral_limit=its.integral_limit, sojourns=() if isinstance(its.sojourns, int) else lengths,
-            row_sojourns=its.row_sojourns,
+            row_sojourns=its.row_sojourns, state_gains=its.state_gains,
         )  # fmt: skip
         return table, random_excitation(model, width=p * its.samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):

@@ -237,9 +237,9 @@ def law_tables(loop: Loop) -> LawTables:
     """Return the tables of a loop's controller; zeros, and why, of one that states neither gains nor matrices."""
     controller, model = loop.controller, loop.model
     m, p = model.B.shape[1], model.C.shape[0]
-    if isinstance(controller, GainTable):
+    its = controller_traits(controller)
+    if isinstance(controller, GainTable) and not its.state_gains:
         K = np.asarray(controller.table(model), dtype=float)
-        its = controller_traits(controller)
         sojourns = (1,) * len(K) if isinstance(its.sojourns, int) or not its.sojourns else tuple(its.sojourns)
         width = p * (its.samples + its.integrates)
         moved = np.zeros((p * its.integrates, width))  # the sum of the newest errors
@@ -258,5 +258,5 @@ def law_tables(loop: Loop) -> LawTables:
     return LawTables(
         omega=np.zeros((m, p)), gains=np.zeros((1, loop.rows, m, p * loop.samples)), state=np.zeros((0, p * loop.samples)),
         state_first=False, samples=loop.samples, ages=(), ranges=((0, 0),),
-        why_none=f"the controller {loop.experiment.kinds.get('controller', '?')!r} is no table of gains",
+        why_none=f"the controller {loop.experiment.kinds.get('controller', '?')!r} is no table of gains alone",
     )  # fmt: skip

@@ -20,7 +20,7 @@ from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins import is_ours
 from hil.rig import RigSpec
-from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
+from hil.rig.delay_chains import Chains, gains_over, state_gains_within, within_reach, without_held
 from hil.rig.loop import CANCELS, EQUAL, RUN_AGAIN, JumpStep, Loop, OneStep, Watched, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains
 from hil.rig.missing_packets import STOPPED, chance_behind_cuts, never_received, percent, waited_for, watchdog_chance
@@ -227,8 +227,9 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
     model, controller = loop.model, loop.controller
     try:
         structure = loop_structure(
-            model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(its.integrates)
-        )
+            model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(its.integrates),
+            state_gains=state_gains_within(controller, sc),
+        )  # fmt: skip
     except TooLarge as error:
         return FourthMoments(radius=None, state="undecided", reason=str(error))
     closed = structure.matrices(gains_over(controller, model, sc, ca))

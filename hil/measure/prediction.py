@@ -71,10 +71,11 @@ class PredictedTracking(Struct, frozen=True, kw_only=True):
 def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
 
-    That is: a controller that is no table of gains or clamps its integral, a network law without a chain, a packet law under
-    which the controller may receive nothing of a node for longer than its chain distinguishes ages (then it answers zeros, not by
-    its gains), first packets whose rows are of a longer delay than the law has, gains by lengths of stay that the first slots do
-    not show, a plant that jumps or has delayed states, faults on the time line, or a reference that no input holds.
+    That is: a controller that is no table of gains, clamps its integral or has a state of its own, a network law without a
+    chain, a packet law under which the controller may receive nothing of a node for longer than its chain distinguishes ages
+    (then it answers zeros, not by its gains), first packets whose rows are of a longer delay than the law has, gains by lengths
+    of stay that the first slots do not show, a plant that jumps or has delayed states, faults on the time line, or a reference
+    that no input holds.
 
     Args:
         loop: the composed experiment.
@@ -87,6 +88,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     if (
         not isinstance(controller, GainTable)
         or controller_traits(controller).integral_limit
+        or controller_traits(controller).state_gains
         or sc is None
         or ca is None
         or loop.experiment.fault

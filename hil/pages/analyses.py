@@ -173,11 +173,15 @@ def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: 
         curves.append(Series(label=f"certified, hand {hand:g} N s/m", x=x, y=safe, colour=i, marked=True))
         ceiling = [ceiling_n_per_m(period_s, damping + hand, d) for d in x]
         curves.append(Series(label=f"ceiling, hand {hand:g} N s/m", x=x, y=ceiling, colour=i, style="dashed"))
-    n, first = len(hands), f"hand {hands[0]:g} N s/m"
+    number, first = len(hands), f"hand {hands[0]:g} N s/m"
+    gil_hulin, colgate, exact = (
+        at(hands[0], value)
+        for value in (lambda c: c.gil_hulin_n_per_m, lambda c: c.colgate_n_per_m, lambda c: c.exact_n_per_m)
+    )
     curves += [
-        Series(label=f"Gil-Hulin, {first}", x=x, y=at(hands[0], lambda c: c.gil_hulin_n_per_m), colour=n, style="circles"),
-        Series(label="no coupler, no hand (exact)", x=x, y=at(hands[0], lambda c: c.exact_n_per_m), colour=n + 2, style="points"),
-        Series(label=f"Colgate, {first}", x=x, y=at(hands[0], lambda c: c.colgate_n_per_m), colour=n + 1, style="points"),
+        Series(label=f"Gil-Hulin, {first}", x=x, y=gil_hulin, colour=number, style="circles"),
+        Series(label="no coupler, no hand (exact)", x=x, y=exact, colour=number + 2, style="points"),
+        Series(label=f"Colgate, {first}", x=x, y=colgate, colour=number + 1, style="points"),
     ]
     blocks: list[Block] = []
     if len(delays) > 1:

@@ -22,7 +22,7 @@ from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, Block, Cell, Figure, Link, Section, Series, State, Table, Tile
-from hil.pages.html import capital, in_words, text_of
+from hil.pages.html import capital, text_of
 from hil.pages.html.page import Page
 from hil.pages.sections import sections_of
 from hil.pages.sections.time_panels import output_panels
@@ -92,7 +92,7 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
     if dropped:
         found.append(Badge(label="log incomplete", state="warning", detail=f"{text_of(dropped)} records dropped"))
     found += [
-        Badge(label=in_words(str(name)), state="bad", detail=str(value))
+        Badge(label=str(name).replace("_", " "), state="bad", detail=str(value))
         for name, value in summary.get("problems", {}).items()
     ]
     return found

@@ -231,10 +231,15 @@ def check_table(controller: GainTable, model: LoopModel) -> None:
     table = asked("table(model)", lambda: np.asarray(controller.table(model), dtype=float))
     its = controller_traits(controller)
     rows = row_count(controller.selection, model.d_max, its.row_sojourns)
-    width = p * its.samples + p * its.integrates
+    width = p * its.samples + p * its.integrates + its.order
     fits = table.ndim == 4 and len(table) > 0 and table.shape[1:] == (rows, m, width)
     assert fits, f"table(model) of shape {table.shape}, expected (tau, {rows}, {m}, {width}), tau up to {model.tau_max}"
     assert np.isfinite(table).all(), "table(model): a gain is not finite"
+    if its.state_gains:
+        own = asked("state_gains", lambda: np.asarray(its.state_gains, dtype=float))
+        expected = (len(table), its.order, width)
+        assert own.shape == expected and not its.integrates, f"state_gains of shape {own.shape}, expected {expected}, no integral"
+        assert np.isfinite(own).all(), "state_gains: a gain is not finite"
 
 
 def check_statements(controller: Controller, model: LoopModel) -> None:

@@ -240,12 +240,22 @@ def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: Dela
     return gains_within(controller.table(model), controller.selection, sc, ca)
 
 
-def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
-    """Return the part of a table of gains that the delays of two chains reach."""
-    labels, count = int(sc.label.max()) + 1, int(ca.label.max()) + 1
+def state_gains_within(controller: object, sc: DelayChain) -> NDArray[np.float64]:
+    """Return of a controller's own state the gains of the tables that a chain reaches; empty where it has no state."""
+    found = np.asarray(controller_traits(controller).state_gains, dtype=np.float64)
+    return _reached(found, sc) if found.size else found
+
+
+def _reached(table: NDArray[np.float64], sc: DelayChain) -> NDArray[np.float64]:
+    labels = int(sc.label.max()) + 1
     if sc.ages is None and sc.holds.any() and (table[labels:] != table[labels - 1]).any():
         raise FieldError("gains", f"{len(table)} tables, but ages beyond {labels - 1} are not distinguished; max_age bounds them")
-    K = table[:labels]
+    return table[:labels]
+
+
+def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
+    """Return the part of a table of gains that the delays of two chains reach."""
+    K, count = _reached(table, sc), int(ca.label.max()) + 1
     if selection == "both":  # a row for every pair of delays
         side = isqrt(K.shape[1])
         return K.reshape(len(K), side, side, *K.shape[2:])[:, :count, :count].reshape(len(K), count * count, *K.shape[2:])

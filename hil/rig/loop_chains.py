@@ -175,10 +175,11 @@ def _distinguished(controller: Controller, model: LoopModel) -> int | Sequence[i
         return 1
     if not isinstance(controller, GainTable):
         return OLDEST_DISTINGUISHED
-    if len(own := controller_traits(controller).ages) > 1:
-        return own
-    K = np.array(controller.table(model), dtype=float)
-    return 1 + int(np.flatnonzero((K[1:] != K[:-1]).any(axis=(1, 2, 3))).max(initial=-1) + 1)
+    its = controller_traits(controller)
+    if len(its.ages) > 1:
+        return its.ages
+    every = [np.array(K, dtype=float).reshape(len(K), -1) for K in (controller.table(model), its.state_gains) if len(K)]
+    return 1 + max(int(np.flatnonzero((K[1:] != K[:-1]).any(axis=1)).max(initial=-1) + 1) for K in every)
 
 
 def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:

@@ -211,8 +211,6 @@ def rank(what: str, runs: Sequence[float] | npt.NDArray[np.float64], printed: fl
 
 
 def _share(what: str, values: npt.NDArray[np.float64], printed: float, rule: Drawn) -> Check:
-    from transport.law_fit.proportions import interval_of
-
     if np.isnan(values).any():
         return Check(what, math.nan, rule)
     reach = float(np.ptp(values)) if np.isfinite(values).all() else math.inf
@@ -220,10 +218,24 @@ def _share(what: str, values: npt.NDArray[np.float64], printed: float, rule: Dra
     if reach > 0.0 and (above or printed < values.min() - reach):
         return Check(what, float(above), rule)
     below, beyond = int((values <= printed).sum()), int((values >= printed).sum())
-    low, high = interval_of(min(below, beyond), values.size, LEVEL)
     if below <= beyond:
-        return Check(what, (below + 1.0) / (values.size + 1.0), rule, (low, high))
-    return Check(what, 1.0 - (beyond + 1.0) / (values.size + 1.0), rule, (1.0 - high, 1.0 - low))
+        value, interval = (below + 1.0) / (values.size + 1.0), share_interval(below, values.size)
+    else:
+        value, (low, high) = 1.0 - (beyond + 1.0) / (values.size + 1.0), share_interval(beyond, values.size)
+        interval = (1.0 - high, 1.0 - low)
+    return Check(what, value, rule, interval)
+
+
+def share_interval(count: int, runs: int) -> tuple[float, float]:
+    """Return Clopper and Pearson's interval of level `LEVEL` for a probability, of ``count`` successes in ``runs``.
+
+    >>> [round(v, 4) for v in share_interval(0, 1000)]
+    [0.0, 0.0053]
+    """
+    from transport.law_fit.proportions import clopper_pearson
+
+    low, high = clopper_pearson(np.array(count), np.array(runs), 1.0 - LEVEL)
+    return float(low), float(high)
 
 
 class Row(Struct, frozen=True, kw_only=True):

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.hostile.watchdog import within
 from transport.can_analysis import ErrorBursts, PeriodicMessage
 from transport.can_bus_model import CanFrame, Periodic
 from transport.can_bus_model.bits import frame_bounds
-from transport.durations import in_seconds
 from transport.errors import FieldError
 from transport.law_fit.packet_record import LEAST, PacketRecord
 from transport.laws.age import MarkovAge
@@ -116,10 +114,3 @@ def test_a_table_of_latencies_that_is_none_is_refused_with_its_place(rows: list[
         law(*rows)
     assert refused.value.field == f"latency.table{place}"
     law([0.0, 0.001], [1.0, 0.002])
-
-
-def test_a_duration_of_a_million_digits_is_refused_at_once() -> None:
-    """Every part of the digits was tried before a point that is not there: an experiment of 100 kB took hours."""
-    with within(), pytest.raises(ValueError, match="is not a duration"):
-        in_seconds(1_000_000 * "1" + "!")
-    assert in_seconds("1.5e1 s") == 15.0 and in_seconds("3.ms") == 0.003 and in_seconds(".5") == 0.5

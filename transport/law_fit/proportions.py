@@ -48,19 +48,15 @@ def clopper_pearson(count: Array, n: Array, miss: float) -> tuple[Array, Array]:
     return np.asarray(low), np.asarray(high)
 
 
-def interval_of(count: float, n: float, level: float = LEVEL) -> Interval:
-    """Return Clopper and Pearson's interval of a probability, of which `count` in `n` were seen; all of [0, 1] for none.
+def interval_of(count: float, n: float) -> Interval:
+    """Return Clopper and Pearson's 95 % interval of a probability, of which `count` in `n` were seen; all of [0, 1] for none.
 
-    Wilson's (1927) is shorter, and that of 95 % holds in 84 % where the probability is 0.0006 and 300 are counted.
-
-    Args:
-        count, n: see above.
-        level: probability with which it holds at least, whatever is estimated.
+    Wilson's (1927) is shorter, and holds in 84 % where one is seen of 300 and the probability is 0.0006.
 
     >>> [round(end, 4) for end in interval_of(10, 100)]
     [0.049, 0.1762]
     """
-    low, high = clopper_pearson(np.array([count]), np.array([n]), 1.0 - level)
+    low, high = clopper_pearson(np.array([count]), np.array([n]), 1.0 - LEVEL)
     return Interval(float(low[0]), float(high[0]))
 
 

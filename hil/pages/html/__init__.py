@@ -56,15 +56,6 @@ def _float_text(value: float, digits: int) -> str:
     return (text or "0").replace("-", "−")
 
 
-def in_words(name: str) -> str:
-    """Return the name of a signal or a number as a person reads it.
-
-    >>> in_words("worst_delay")
-    'worst delay'
-    """
-    return name.replace("_", " ")
-
-
 def capital(text: str) -> str:
     """Return a text that begins with a capital; the rest stays.
 

@@ -13,7 +13,7 @@ from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView
 from hil.pages import Badge, Cell, Lines, Section, Table, Text
-from hil.pages.html import in_words, text_of
+from hil.pages.html import text_of
 
 MOST_EVENTS = 300
 _UNITS: Mapping[str, str] = {"_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_m_per_n": "m/N"}
@@ -72,7 +72,7 @@ def provenance(view: RunView) -> Section:
     """Return session and versions: what ran, and where it comes from."""
     run = view.run
     versions: list[list[Cell]] = [[name, version] for name, version in run.versions.items()]
-    origin: list[list[Cell]] = [[in_words(k), v] for k, v in {**run.metadata, **run.session}.items()]
+    origin: list[list[Cell]] = [[k.replace("_", " "), v] for k, v in {**run.metadata, **run.session}.items()]
     return Section(
         title="Provenance",
         place=910,
@@ -90,7 +90,7 @@ SECTIONS = (numbers, events, experiment, provenance)
 def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
     metrics, signals = summary["metrics"], view.signals
     outputs: Mapping[str, Mapping[str, Any]] = metrics.get("outputs", {})
-    columns = [with_unit(in_words(name), signals.outputs[name]) for name in outputs]
+    columns = [with_unit(_words(name), signals.outputs[name]) for name in outputs]
     several = bool(outputs) and signals.tracked_unit() is None
     measures = view.once(run_measures)
     tables = []
@@ -145,6 +145,10 @@ def _row_label(quantity: Quantity) -> str:
     return with_unit(label, quantity.unit)
 
 
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
 def _quantity(name: str) -> str:
     """Return the name of a number as a person reads it, its unit behind it.
 
@@ -153,8 +157,8 @@ def _quantity(name: str) -> str:
     """
     for ending, unit in _UNITS.items():
         if name.endswith(ending):
-            return with_unit(in_words(name.removesuffix(ending)), unit)
-    return in_words(name)
+            return with_unit(_words(name.removesuffix(ending)), unit)
+    return _words(name)
 
 
 def _rows(run: Run) -> list[list[Cell]]:
@@ -176,7 +180,7 @@ def _cell(value: Any) -> Cell:
     if value is None or isinstance(value, str | int | float | bool):
         return value
     if isinstance(value, Mapping):
-        return Lines(tuple(f"{in_words(str(name))}: {_in_line(v)}" for name, v in value.items()))
+        return Lines(tuple(f"{_words(str(name))}: {_in_line(v)}" for name, v in value.items()))
     items = list(value)
     if any(isinstance(item, str) and " " in item for item in items):
         return Lines(tuple(map(_in_line, items)))
@@ -185,7 +189,7 @@ def _cell(value: Any) -> Cell:
 
 def _in_line(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{in_words(str(name))} {_in_line(v)}" for name, v in value.items())
+        return ", ".join(f"{_words(str(name))} {_in_line(v)}" for name, v in value.items())
     if isinstance(value, Sequence) and not isinstance(value, str):
         within = [f"({_in_line(v)})" if isinstance(v, Sequence) and not isinstance(v, str) else _in_line(v) for v in value]
         return ", ".join(within)

@@ -15,7 +15,7 @@ from hil.measure.signals import target_of, with_unit
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages import Band, Block, Figure, Section, Series, Table
-from hil.pages.html import capital, in_words
+from hil.pages.html import capital
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import composed
@@ -83,7 +83,7 @@ def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.n
             bands.append(Band(label=f"95 % of {len(many)} more runs", x=t, lower=low, upper=high, colour=0))
         blocks.append(
             Figure(
-                title=f"Tracking error of {in_words(name)}",
+                title=f"Tracking error of {name.replace('_', ' ')}",
                 series=(
                     Series(label="predicted mean", x=t, y=mean, style="dashed", colour=2),
                     Series(label="this run", x=t, y=error[:, c], colour=1),

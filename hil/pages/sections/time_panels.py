@@ -21,7 +21,7 @@ from hil.measure.network_paths import network_paths
 from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
 from hil.pages import Figure, LineStyle, Marker, Section, Series, State
-from hil.pages.html import capital, in_words
+from hil.pages.html import capital
 from hil.pages.html.payload import Float, reduced
 from hil.pages.sections.statistics import DIRECTIONS, MEASURED, network_table
 
@@ -80,7 +80,7 @@ def follows_reference(view: RunView) -> bool:
 
 def _panel(view: RunView, name: str, unit: str, series: Sequence[Series], height_px: int, title: str = "") -> Figure:
     """Return a panel over time of what a signal's name says."""
-    words = in_words(name)
+    words = _words(name)
     return Figure(
         title=title or words.capitalize(), y_label=words, y_unit=unit, series=tuple(series), markers=view.once(markers),
         height_px=height_px,
@@ -116,11 +116,11 @@ def output_panels(view: RunView) -> list[Figure]:
     followed = follows_reference(view)
     for name, unit in view.signals.outputs.items():
         style: LineStyle = "line" if name in tracked else "step"
-        series = [curve(measurement, name, label=in_words(name), style=style, colour=0)]
+        series = [curve(measurement, name, label=_words(name), style=style, colour=0)]
         if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
             series = [
-                replace(series[0], label=f"{in_words(name)}, measured", halo=True),
-                curve(state, name, label=f"{in_words(name)}, true", style=style, colour=0),
+                replace(series[0], label=f"{_words(name)}, measured", halo=True),
+                curve(state, name, label=f"{_words(name)}, true", style=style, colour=0),
             ]
         if followed and name in tracked:
             series.insert(0, curve(reference, name, label="reference", style="dashed-step", colour=7))
@@ -134,7 +134,7 @@ def _state_panels(view: RunView) -> list[Figure]:
     if state is None or not len(state):
         return []
     names = [name for name in signal_names(view.run, STATE.name) if name not in view.signals.outputs]
-    curves = {name: curve(state, name, label=in_words(name), colour=2) for name in names}
+    curves = {name: curve(state, name, label=_words(name), colour=2) for name in names}
     return [_panel(view, name, view.unit(STATE.name, name), [own], 190) for name, own in curves.items()]
 
 
@@ -145,7 +145,7 @@ def _topic_panels(view: RunView) -> list[Figure]:
     for title, curves in topics.panels(view.run.schemas, own).items():
         if all(len(arrays[name]) for name, _ in curves):
             series = [
-                curve(arrays[name], each.field, label=in_words(each.field), style="step", colour=number)
+                curve(arrays[name], each.field, label=_words(each.field), style="step", colour=number)
                 for number, (name, each) in enumerate(curves)
             ]
             found.append(_panel(view, title, view.unit(curves[0][0], curves[0][1].field), series, 190))
@@ -157,11 +157,11 @@ def _input_panels(view: RunView) -> list[Figure]:
     applied = view.run.arrays[APPLIED]
     panels = []
     for name, unit in view.signals.inputs.items():
-        series = [curve(applied, name, label=f"{in_words(name)}, commanded", style="step", colour=3)]
+        series = [curve(applied, name, label=f"{_words(name)}, commanded", style="step", colour=3)]
         w = f"w_{name}"
         if w in (applied.dtype.names or ()) and any((piece[w] != 0.0).any() for piece in pieces(applied)):
             series.insert(0, curve(applied, w, label="disturbance", style="step", colour=4))
-        panels.append(_panel(view, name, unit, series, 200, title=f"Input: {in_words(name)}"))
+        panels.append(_panel(view, name, unit, series, 200, title=f"Input: {_words(name)}"))
     return panels
 
 
@@ -230,3 +230,7 @@ def _at_least(field: str, timing: Records) -> npt.NDArray[np.float64]:
 
 def _equal(a: Records, b: Records, name: str) -> bool:
     return all(np.array_equal(one[: len(other)][name], other[: len(one)][name]) for one, other in zip(pieces(a), pieces(b)))
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

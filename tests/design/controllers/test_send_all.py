@@ -20,6 +20,34 @@ def test_the_integral_holds_the_errors_of_earlier_slots_only() -> None:
     assert answers == [-2.0, -1.0 + 10.0, -0.5 + 15.0]
 
 
+def test_a_state_of_its_own_goes_on_by_the_gains_of_the_age() -> None:
+    """xi(k+1) = e(k) + xi(k)/2 at age 0 and e(k) at age 1; u = -e + 4 xi, and -2 e + 8 xi. Alone and in two runs at once."""
+    loop = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=1, d_max=0)
+    gains = nested(np.array([[[[-1.0, 4.0]]], [[[-2.0, 8.0]]]]))
+    own = SendAll(gains=gains, state_gains=(((1.0, 0.5),), ((1.0, 0.0),)), selection="constant")
+    errors, ages, answers = (1.0, 0.5, 0.25, 1.0), (0, 1, 0, 1), (-1.0, -1.0 + 8.0, -0.25 + 4 * 0.5, -2.0 + 8 * 0.5)
+    running, many = own.start(loop), own.start_batch(loop, 2)
+    assert many is not None
+    for k, (e, tau, u) in enumerate(zip(errors, ages, answers)):
+        assert running.rows(k, tau, (e + 3.0,), (3.0,)) == ((u,),)  # type: ignore[union-attr,call-arg,arg-type]
+        known = KnownInBatch(np.ones(2, dtype=bool), np.full((1, 2), tau, dtype=np.intp), np.array([[e, -e]]), (0.0,))
+        assert many.rows(k, known)[0, 0].tolist() == [u, -u]
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"state_gains": (((1.0, 0.5),),), "integral": True}, "state_gains: a table with a state of its own has no integral"),
+        ({"state_gains": (((1.0, 0.5), (1.0, 0.5)),)}, r"state_gains: shape \[1, 2, 2\], expected \[1\]\[c\]\[2\]"),
+        ({"state_gains": (((1.0,),),)}, r"state_gains: shape \[1, 1, 1\], expected"),
+        ({"state_gains": (((1.0, 0.5),), ((1.0, 0.5),))}, r"state_gains: shape \[2, 1, 2\], expected"),
+    ],
+)
+def test_gains_of_a_state_that_do_not_fit_are_refused(fields: dict[str, object], said: str) -> None:
+    with pytest.raises(FieldError, match=said):
+        SendAll(gains=nested(np.array([[[[-2.0, 10.0]]]])), selection="constant", **fields)  # type: ignore[arg-type]
+
+
 def test_a_clamped_integral_stays_within_its_limit_and_comes_back_at_once() -> None:
     """The sum would be 1, 2, 3, 2: clamped at 1.5 it is 1, 1.5, 1.5, 0.5. Alone and in two runs at once, of either sign."""
     clamped = SendAll(gains=nested(np.array([[[[-2.0, 10.0]]]])), integral=True, integral_limit=(1.5,), selection="constant")

@@ -6,24 +6,25 @@ import pytest
 from design.networked_loop import check_gains
 from design.networked_loop.closed_loop import SELECTIONS, loop_structure
 from design.processes.delay_chain import DelayChain
+from design.tracking import state_gains_of
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, VTOL
 
 PLANTS = {"motor": MOTOR, "vtol": VTOL}
 LONG_PI = np.array([[0.5, 0.5, 0.0, 0.0], [0.3, 0.3, 0.4, 0.0], [0.4, 0.2, 0.2, 0.2], [0.5, 0.1, 0.2, 0.2]])
 
 
-def run_packets(plant, gains, taus, ds, selection, rows, d_before, x0, w, samples=1, integral=False):
+def run_packets(plant, gains, taus, ds, selection, rows, d_before, x0, w, samples=1, integral=False, state_gains=()):
     """Plant, sensor, controller and actuator as programs that exchange packets; returns x(k) and u(k)."""
     A, B, C = plant
     x, outputs, packets, states, inputs = x0, {}, {}, [], []
-    d_old, xi = d_before, np.zeros(C.shape[0])
+    d_old, xi = d_before, np.zeros(len(state_gains[0]) if len(state_gains) else C.shape[0] * integral)
     for k, (tau, d) in enumerate(zip(taus, ds, strict=True)):
         states.append(x)
         outputs[k] = C @ x
         known = [outputs.get(k - tau - lag, np.zeros(C.shape[0])) for lag in range(samples)]
-        Y = np.concatenate([*known, xi] if integral else known)
+        Y = np.concatenate([*known, xi])
         packets[k] = ([K @ Y for K in gains[tau]], d, d_old)
-        xi, d_old = xi + known[0], d
+        xi, d_old = (state_gains[tau] @ Y if len(state_gains) else xi + known[0] if integral else xi), d
         u = np.zeros(B.shape[1])
         if k - d in packets:
             sent, d_g, d_g_before = packets[k - d]
@@ -74,6 +75,34 @@ def test_augmented_recursion_is_the_packet_loop(plant, selection, Pi, store, sam
         X = closed[i] @ X + loop.B[i] @ w[k]
 
 
+@pytest.mark.parametrize(("plant", "order", "samples"), [("motor", 2, 1), ("vtol", 3, 2)])
+@pytest.mark.parametrize("selection", SELECTIONS)
+def test_a_controller_with_a_state_is_its_gains_free_or_given(plant, order, samples, selection):
+    """Of the VTOL's two inputs each row makes two states, and the last a single one."""
+    rng = np.random.default_rng(8)
+    A, B, C = PLANTS[plant]
+    A, B = A * 0.9, B / np.abs(B).max()
+    free = loop_structure(A, B, C, LAMBDA, PI, selection, samples=samples, order=order)
+    gains = 0.2 * rng.standard_normal(free.gain_shape)
+    rows, state_gains = state_gains_of(gains, order)
+    given = loop_structure(A, B, C, LAMBDA, PI, selection, samples=samples, state_gains=state_gains)
+    assert rows.shape[1] == given.gain_shape[1] == free.packet_rows and state_gains.shape[1] == order
+    taus, ds = np.zeros(60, dtype=int), rng.integers(0, 2, 60)
+    for k in range(1, 60):
+        taus[k] = rng.choice(3, p=LAMBDA[taus[k - 1]])
+    x0, w = rng.standard_normal(A.shape[0]), 0.1 * rng.standard_normal((60, B.shape[1]))
+    states, inputs = run_packets((A, B, C), rows, taus, ds, selection, 2, 0, x0, w, samples, state_gains=state_gains)
+    assert np.array_equal(free.matrices(gains), given.matrices(rows))
+    closed, U, X = given.matrices(rows), given.applied_input(rows), np.zeros(given.base.shape[-1])
+    X[: len(x0)] = x0
+    for k, i in enumerate(mode_path(given, taus, ds, 0)):
+        assert np.allclose(X[: len(x0)], states[k], rtol=0, atol=1e-13) and np.allclose(U[i] @ X, inputs[k], rtol=0, atol=1e-13)
+        X = closed[i] @ X + given.B[i] @ w[k]
+    weight = rng.standard_normal(free.base.shape)
+    change = np.sum(weight * (free.matrices(gains) - free.base))
+    assert np.isclose(change, np.sum(free.gain_gradient(weight) * gains), rtol=1e-12)
+
+
 def test_stored_outputs_need_fewer_states_than_the_printed_augmentation():
     for plant, small, printed in ((MOTOR, 5, 7), (VTOL, 8, 14)):
         assert loop_structure(*plant, LAMBDA, PI).base.shape[-1] == small
@@ -113,6 +142,7 @@ def test_total_labels_share_rows():
         ({"output": "product"}, "output: 'product'"),
         ({"samples": 0}, "samples: 0"),
         ({"integral": -1.0}, "integral: -1"),
+        ({"integral": 1.0, "order": 1}, "integral: 1, but a controller with a state of its own has none"),
         ({"Q": np.eye(2), "output": "sum"}, "output: a sum needs"),
     ],
 )

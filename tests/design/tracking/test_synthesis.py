@@ -9,10 +9,12 @@ import pytest
 
 from design.controllers.gain_rows import held_exactly, nearest_held, steady_state
 from design.errors import DesignError, Infeasible, NotStable
+from design.jump_linear import MJLS
+from design.jump_linear.certificate import certify_system
 from design.networked_loop.certify import certify_loop, certify_structure
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
-from design.tracking import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
+from design.tracking import COARSER, INFORMATION, embed, gain_parametrisation, selection_of, state_gains_of
 from design.tracking.bfgs import bfgs
 from design.tracking.loop_objective import LoopObjective, closed_classes, stabilising
 from design.tracking.synthesis import TrackingProblem, solve
@@ -194,13 +196,38 @@ def test_too_unstable_plant_for_the_network_is_refused_with_the_radius():
     assert caught.value.value > 1
 
 
+@pytest.mark.parametrize(("information", "norm"), [("constant", 1.78), ("total", 1.6), ("applied", 1.48)])
+def test_a_controller_with_a_state_is_far_better_than_static_gains(information, norm):
+    """The motor's best static gains have 3.89, 3.51 and 3.47; the norm is that of the gains in the loop that runs."""
+    design = solve(problem("motor", information=information, order=1, starts=1))
+    gains, state_gains = state_gains_of(design.gains, 1)
+    found = certify_loop(*MOTOR, LAMBDA, PI, gains, design.selection, R=0.01, state_gains=state_gains)
+    assert found.stable and found.h2_norm < norm and found.h2_norm == pytest.approx(design.certificate.h2_norm, rel=1e-12)
+    assert design.bounds is not None and design.bounds.h2_delayed_information < found.h2_norm
+
+
+def test_a_step_of_the_reference_counts_as_its_weight_says():
+    """The square of the norm is that of the input's impulse and, times the weight's square, that of a step."""
+    plain, stepped = (problem("motor", order=1, starts=1, reference_weight=weight) for weight in (0.0, 2.0))
+    K = solve(stepped).gains
+    alone, both = (certify_structure(p.structure(), K, output="stacked").h2_norm for p in (plain, stepped))
+    system = stepped.structure().system(K)
+    step = certify_system(
+        MJLS(A=system.A, B=system.B[:, :, 1:], C=system.C, transition=system.transition), selection="applied", output="stacked",
+        initial=plain.structure().default_initial, initial_law="uniform",
+    ).h2_norm  # fmt: skip
+    assert both**2 == pytest.approx(alone**2 + step**2, rel=1e-12) and system.B.shape[2] == 2
+    assert np.array_equal(system.B[:, :2, 1], np.full((len(system.B), 2), [2.0, 0.0]))
+    assert solve(plain).certificate.h2_norm < alone  # which it pays for the step
+
+
 @pytest.mark.parametrize("sc", [[[1.0]], LAMBDA], ids=["no-delay", "markov"])
 def test_cart_pole_at_a_short_period_is_stabilised_from_two_samples(sc):
     A = np.array([[0, 1, 0, 0], [0, -0.1, -0.98, 0], [0, 0, 0, 1], [0, 0.2, 21.56, -0.05]])
     A, B = zero_order_hold(A, np.array([[0], [1], [0], [-2]]), 0.01)
     C = [[1.0, 0, 0, 0], [0, 0, 1.0, 0]]  # gains of -300 and 300 on two samples of the angle: no start near zero finds them
-    problem = TrackingProblem(A=A, B=B, C=C, sc=sc, ca=[[1.0]], samples=2, starts=1)
-    assert solve(problem).certificate.mean_square_radius < 0.999
+    for asked in ({"samples": 2}, {"order": 2}):  # a state of two holds the samples before
+        assert solve(TrackingProblem(A=A, B=B, C=C, sc=sc, ca=[[1.0]], starts=1, **asked)).certificate.mean_square_radius < 0.9999
 
 
 def test_absorbing_bad_mode_is_named_with_the_radius():

@@ -25,7 +25,8 @@ SHIPPED = sorted(path.stem for path in (Path(hil.__file__).parent / "experiments
 SERVED = {
     "dc-motor-1khz", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-h2-friction", "dc-motor-hinf",
     "dc-motor-hinf-fast", "dc-motor-hinf-friction", "dc-motor-hinf-supply", "dc-motor-local", "dc-motor-local-fast",
-    "dc-motor-ours-bursty", "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed",
+    "dc-motor-ours-bursty", "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-memory",
+    "dc-motor-ours-mixed",
     "dc-motor-ours-stays", "dc-motor-ours-two-samples", "dc-motor-packets", "dc-motor-smith", "dc-motor-smith-fast",
     "dc-motor-two-nodes", "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf", "multisensor-lossy", "multisensor-newest",
     "multisensor-ours", "multisensor-published", "dc-motor-5g", "dc-motor-wifi",

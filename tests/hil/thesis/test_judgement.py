@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hil.thesis.judgement import LEVEL, OFF, Between, Check, Row, rank
+from hil.thesis.judgement import OFF, Between, Check, Row, rank, share_interval
 from hil.thesis.pages import power, power_in_words, turns
 from hil.thesis.statements import (
     Claim,
@@ -26,7 +26,6 @@ from hil.thesis.statements import (
     within,
 )
 from tests.hil.thesis.judging import assert_equalities_turn, assert_every_number_decides
-from transport.law_fit.proportions import interval_of
 
 
 def row(*claims: Claim, witness: tuple[Claim, ...] = (), printed: str = "1", readings: bool = False, **values: Any) -> Row:
@@ -179,7 +178,7 @@ def test_the_interval_of_a_share_holds_the_share() -> None:
     """Level 99 %: of 4000 samples of 500 at most 1 % miss, and 4 standard errors more; one of half the level would miss 5 %."""
     rng = np.random.default_rng(2)
     counts = rng.binomial(500, 0.01, 4000)
-    missed = np.mean([not low <= 0.01 <= high for low, high in (interval_of(int(c), 500, LEVEL) for c in counts)])
+    missed = np.mean([not low <= 0.01 <= high for low, high in (share_interval(int(c), 500) for c in counts)])
     assert missed < 0.01 + 4.0 * (0.01 * 0.99 / 4000) ** 0.5
 
 
