@@ -9,6 +9,7 @@ Reference: Chapter 6, (6.1), (6.2), (6.4) and Figure 6.4; delays in the state.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -68,13 +69,15 @@ class HeldDevice(Struct, frozen=True, kw_only=True):
             period_s: T in s.
             stiffness_n_per_m, damping_n_s_per_m: of a material beside the hand.
         """
-        mass = self.mass_kg + self.hand_mass_kg
-        field = np.zeros((3, 3))
-        field[0, 1] = 1.0
         stiffness, damping = self.hand_stiffness_n_per_m + stiffness_n_per_m, self.total_damping_n_s_per_m + damping_n_s_per_m
-        field[1] = np.array([-stiffness, -damping, 1.0]) / mass
-        held = expm(field * period_s)
-        return held[:2, :2], held[:2, 2]
+        held = _over_a_sample(self.mass_kg + self.hand_mass_kg, damping, stiffness, period_s)
+        return held[:2, :2].copy(), held[:2, 2].copy()
+
+
+@lru_cache(maxsize=16)
+def _over_a_sample(mass: float, damping: float, stiffness: float, period_s: float) -> Array:
+    """exp(M T) for (x, v, f)' = M (x, v, f): a map of stiffness asks for the same device at every material."""
+    return np.asarray(expm(np.array([[0.0, 1.0, 0.0], [-stiffness / mass, -damping / mass, 1.0 / mass], [0.0] * 3]) * period_s))
 
 
 def continuous(A: Array, B: Array, period_s: float) -> Array:
