@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
+from scipy.linalg.blas import dtbsv
 
 from design.errors import DesignError
 
@@ -84,9 +84,8 @@ def forced(u: Array, pole: float, period_s: float) -> tuple[Array, Array]:
         period_s: T in s.
     """
     step = held(pole, period_s)
-    poles = [1.0, -step.a]
-    V = lfilter([0.0, 1.0], poles, u)  # speed over s1
-    dV = lfilter([0.0, 1.0], poles, V)  # its derivative by a
+    V = recursion((-step.a,), _late(u))  # speed over s1
+    dV = recursion((-step.a,), _late(V))  # its derivative by a
     speed, slope = step.s1 * V, step.ds1 * V + step.s1 * step.da * dV
     moved = step.s1 * speed + step.s2 * u
     grown = step.ds1 * speed + step.s1 * slope + step.ds2 * u
@@ -108,8 +107,26 @@ def free(count: int, pole: float, period_s: float) -> tuple[Array, Array]:
     return _summed(step.s1 * decay), _summed(step.ds1 * decay + step.s1 * slope)
 
 
+def _late(signal: Array) -> Array:
+    return np.concatenate(([0.0], signal[:-1]))
+
+
 def _summed(steps: Array) -> Array:
-    return np.concatenate(([0.0], np.cumsum(steps)[:-1]))
+    return _late(np.cumsum(steps))
+
+
+def recursion(feedback: Sequence[float], x: Array) -> Array:
+    """Return v(k) = x(k) - a_1 v(k-1) - a_2 v(k-2) - ..., from rest: the solution of a band of equations, (n,).
+
+    Args:
+        feedback: a_1, a_2, ...
+        x: what is filtered (n,).
+
+    >>> recursion((-0.5,), np.array([1.0, 0.0, 0.0])).tolist()
+    [1.0, 0.5, 0.25]
+    """
+    band = np.broadcast_to(np.array([[1.0], *([a] for a in feedback)]), (1 + len(feedback), x.size))
+    return np.asarray(dtbsv(len(feedback), band, x, lower=1, diag=1))  # scipy.signal takes half a second of imports
 
 
 LEAST_SAMPLES = 20
@@ -282,4 +299,4 @@ def _speed(record: Record, gain: float, pole: float, begin: float) -> Array:
     """Return v(k) (n,): v(k+1) = a v(k) + g s1 u(k)."""
     step = held(pole, record.period_s)
     pushed = np.concatenate(([begin], gain * step.s1 * record.u[:-1]))
-    return np.asarray(lfilter([1.0], [1.0, -step.a], pushed))
+    return recursion((-step.a,), pushed)

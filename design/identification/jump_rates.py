@@ -105,7 +105,7 @@ def _count(into: Array, given: Modes, modes: Modes, cleared: NDArray[np.bool_], 
 
 
 def _rates(counted: Array, edges: Array, period_s: float, *, known: bool) -> list[JumpRate]:
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     alone = np.eye(counted.shape[1], dtype=bool)
 
@@ -120,8 +120,8 @@ def _rates(counted: Array, edges: Array, period_s: float, *, known: bool) -> lis
         through = 0.5 * period_s * float(by_stay[at][given, source] @ fresh[given, :, to])
         if source == to or not exposure:
             continue
-        low = float(chi2.ppf((1.0 - LEVEL) / 2.0, 2 * n)) / (2.0 * exposure) if n else 0.0
-        high = float(chi2.ppf((1.0 + LEVEL) / 2.0, 2 * n + 2)) / (2.0 * exposure)
+        low = float(chdtri(2 * n, (1.0 + LEVEL) / 2.0)) / (2.0 * exposure) if n else 0.0
+        high = float(chdtri(2 * n + 2, (1.0 - LEVEL) / 2.0)) / (2.0 * exposure)
         low = max(low - through, 0.0)
         high /= 1.0 - min(hidden, 0.5)
         fault = given + 1 if known else None

@@ -15,12 +15,10 @@ from typing import Literal
 
 import numpy as np
 from msgspec import Struct
-from scipy.signal import cont2discrete, lfilter
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import chdtrc, stdtrit
 
 from design.errors import DesignError
-from design.identification import Array, Record, covariance, dry_friction, sensitivities
+from design.identification import Array, Record, covariance, dry_friction, recursion, sensitivities
 
 
 def plain_least_squares(records: Sequence[Record]) -> tuple[float, float] | None:
@@ -74,14 +72,13 @@ def state_variable_filter(records: Sequence[Record], cutoff: float) -> tuple[flo
     for record in records:
         kept = record.measured
         index = np.arange(record.y.size)
-        y = np.interp(index, index[kept], record.y[kept])
-        y = y - y[0]
+        moved = np.interp(index, index[kept], record.y[kept])
+        speed = np.diff(moved, append=moved[-1]) / record.period_s
         first = int(SKIPPED / (cutoff * record.period_s)) + 1
-        if y.size - first < 10:
+        if speed.size - first < 10:
             continue
-        slow = _filtered(y, cutoff, record.period_s, "foh", 1)
-        fast = _filtered(y, cutoff, record.period_s, "foh", 2)
-        held = _filtered(record.u, cutoff, record.period_s, "zoh", 0)
+        slow, fast = (_filtered(speed, cutoff * record.period_s, slope) for slope in (0.0, cutoff))
+        held = _filtered(record.u, cutoff * record.period_s)
         left.append(np.column_stack([-slow, held])[first:])
         right.append(fast[first:])
     if not left:
@@ -90,11 +87,11 @@ def state_variable_filter(records: Sequence[Record], cutoff: float) -> tuple[flo
     return (gain, pole) if gain > 0.0 and np.isfinite(pole) else None
 
 
-def _filtered(signal: Array, cutoff: float, period_s: float, hold: Literal["foh", "zoh"], power: int) -> Array:
-    """Return s^power l^2/(s + l)^2 of a signal."""
-    numerator = np.array([cutoff * cutoff] + [0.0] * power)
-    b, a, _ = cont2discrete((numerator, np.array([1.0, 2.0 * cutoff, cutoff * cutoff])), period_s, method=hold)
-    return np.asarray(lfilter(np.ravel(b), np.ravel(a), signal))
+def _filtered(held: Array, z: float, slope: float = 0.0) -> Array:
+    """Return l^2/(s + l)^2 of a signal that is held over every sample, z = l T; with slope = l, s times that."""
+    e = math.exp(-z)
+    now, before = (slope * z * e, -slope * z * e) if slope else (1.0 - e - z * e, e * (e + z - 1.0))
+    return recursion((-2.0 * e, e * e), np.convolve(held, (0.0, now, before))[: held.size])
 
 
 LAGS = 20
@@ -150,7 +147,7 @@ def residual_test(residuals: Array, size: float, jacobian: Array) -> ResidualTes
 
     shares = [lagged(residuals, l) / power + lagged(taken, l) / (n - taken.shape[1]) for l in range(1, lags + 1)]
     statistic = n * (n + 2) * sum(r * r / (n - lag) for lag, r in enumerate(shares, 1))
-    p_value = float(chi2.sf(statistic, lags))
+    p_value = float(chdtrc(lags, statistic))
     return ResidualTest(
         verdict="white" if p_value >= RARE else "correlated", statistic=float(statistic), lags=lags, p_value=p_value
     )
@@ -241,7 +238,7 @@ def identify_axis(records: Sequence[Record]) -> AxisFit:
     samples, count = jacobian.shape
     freedom = samples - count
     variance = best.cost / freedom
-    width = float(student.ppf(0.5 + 0.5 * LEVEL, freedom))
+    width = float(stdtrit(freedom, 0.5 + 0.5 * LEVEL))
     size = float(np.concatenate([r.y[r.measured] - np.nanmean(r.y) for r in records]).std())
     if not best.gain > width * math.sqrt(variance * unit[0, 0]):
         raise DesignError(
@@ -264,7 +261,7 @@ def identify_axis(records: Sequence[Record]) -> AxisFit:
         return Interval(value=value, error=error, low=b / a - half, high=b / a + half)
 
     f, error = dry_friction(records, g, p, best.starts, best.left, jacobian)
-    wide = float(student.isf(0.5 * RARE, freedom - 1)) * error
+    wide = float(stdtrit(freedom - 1, 1.0 - 0.5 * RARE)) * error
     return AxisFit(
         friction=Interval(value=f, error=error, low=f - wide, high=f + wide),
         gain=interval(g, math.sqrt(gg)), pole=interval(p, math.sqrt(pp)), inertia=over_gain(1.0, 0.0, 0.0),

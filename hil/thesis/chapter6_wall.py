@@ -11,7 +11,7 @@ from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, PERIOD_S, meets_printed_condition, printed_distortion
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
@@ -37,7 +37,7 @@ def wall() -> dict[str, Any]:
     lengths, areas = boundaries(pattern, 3)
     leaving = 1.0 - np.diag(printed)
     statistic, freedom = memory_statistic(list(slide(0.35, 20_000)), 3)
-    limit = float(chi2.isf(LEVEL, freedom))
+    limit = float(chdtri(freedom, LEVEL))
     heading = next((a for a in np.linspace(0.05, 1.5, 300).tolist() if visits(a) == MODES_610), math.nan)
     stationary = areas / areas.sum()
     return {

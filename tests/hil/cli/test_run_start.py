@@ -59,15 +59,16 @@ def test_a_caller_of_the_command_line_keeps_its_garbage_collection(cli: Hil, loo
 
 
 COMPARED = """
-import hil, hil.cli.design
+import hil, hil.cli.design, design.identification.output_error
 hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1)
 print(json.dumps(sorted(sys.modules)))
 """
 
 
 def test_what_needs_no_part_of_scipy_loads_none(tmp_path: Path) -> None:
-    """Half a second of CPU each: who certifies stored gains looks for no others; a law is fitted to a measured network alone, and
-    a comparison in which no run was stopped tests nothing.
+    """Half a second of CPU each: who certifies stored gains looks for no others; a law is fitted to a measured network alone, a
+    comparison in which no run was stopped tests nothing, and an axis that is identified has filters of two states.
     """
     loaded = tried(tmp_path, TRY + COMPARED, "run", "multisensor-ours", "--duration", "0.1", "--quiet")
-    assert "design.historical_data.guaranteed_cost" in loaded and {"scipy.optimize", "scipy.stats"}.isdisjoint(loaded)
+    assert "design.historical_data.guaranteed_cost" in loaded
+    assert {"scipy.optimize", "scipy.signal", "scipy.stats"}.isdisjoint(loaded)
