@@ -58,7 +58,12 @@ def of_size_one(N: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def rank_of(N: NDArray[np.float64]) -> int:
     """Return the rank of a matrix, whatever the units of its rows and columns are."""
-    return int(np.linalg.matrix_rank(of_size_one(N)))
+    return _rank(tuple(map(tuple, N.tolist())))
+
+
+@lru_cache(maxsize=16)
+def _rank(N: tuple[tuple[float, ...], ...]) -> int:  # every start of a loop's controller asks for the same
+    return int(np.linalg.matrix_rank(of_size_one(np.array(N))))
 
 
 def pseudo_inverse(N: Matrix) -> Matrix:

@@ -114,8 +114,9 @@ def foretold(model: LoopModel, delayed: Array, inputs: Array) -> Array:
     A, B, n = model.A, model.B, len(model.A)
     x = np.zeros((len(inputs) + 1 + len(delayed), n))
     first = len(delayed)
-    for k, u in enumerate(inputs, start=first):
-        x[k + 1] = A @ x[k] + B @ u
+    x[first + 1 :] = inputs @ B.T
+    for k in range(first, len(x) - 1):
+        x[k + 1] += A @ x[k]
         for i, matrix in enumerate(delayed, start=1):
             x[k + 1] += matrix @ x[k - i]
     return x[first:]

@@ -16,8 +16,7 @@ from design.controllers import SensorNodes, Turns
 from hil.experiment.nodes import ClockTable
 from hil.rig.sensors import Sensor, SharedMedium
 from transport.errors import NotKnown
-from transport.laws import NetworkLaw
-from transport.laws.delay_states import delay_states
+from transport.laws import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.medium import Medium
 from transport.medium.independent import Impairment
 
@@ -167,11 +166,10 @@ def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[SharedMedium]) -> S
 
 
 def _constant_delay(law: NetworkLaw) -> int | None:
-    states = delay_states(law)
-    if states is None:
+    if isinstance(law, RecordedLaw) or not isinstance(law, ChainLaw | SemiMarkovLaw):
         return None
-    ages: Sequence[int] = sorted({int(age) for age in states.ages})
-    return ages[0] if len(ages) == 1 else None
+    age, *others = set(law.mode_ages)
+    return None if others else int(age)
 
 
 MOST_PHASES = 64
