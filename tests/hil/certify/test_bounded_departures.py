@@ -44,7 +44,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
 
 
 def composed(name: str, **changes: Any) -> Loop:
-    calm = {"reference": [], "disturbance": [], "duration": 20, "allow_uncertified": True, "plant.initial_angle_rad": 1.0}
+    calm = {"reference": [], "disturbance": [], "duration": 12, "allow_uncertified": True, "plant.initial_angle_rad": 1.0}
     return compose(load_experiment(name, **calm | changes))
 
 

@@ -52,7 +52,8 @@ INTEGRAL = "{kind='send-all',selection='constant',integral=true,gains=[[[[-0.1,-
 @pytest.mark.parametrize(
     ("name", "sets", "why"),
     [
-        ("dc-motor-packets", ("network.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
+        ("dc-motor-packets", ("network.ca.law={kind='packet',latency={trace=['10 ms']}}",
+                              "network.sc.law={kind='packet',latency='10 ms'}"), "its latencies are a recorded trace"),
         ("dc-motor-h2", ('network.ca.law={kind="trace", ages=[0, 1, 0], past_end="refuse"}', "duration=0.1"),
          "ends after 3 slots"),
         ("dc-motor-smith", ("controller={kind='constant'}",), "[controller] Constant states no gains or matrices"),

@@ -104,16 +104,18 @@ def test_growth_is_that_of_the_worst_cycle_for_numbers() -> None:
 def test_our_gains_are_better_by_the_stated_margin_on_the_same_bus_with_the_same_seeds() -> None:
     """A tenth less squared error with the step, a fifth of it after the push; overshoot below 2 % against 35 %.
 
-    Paired over five seeds, each with the same background traffic on both buses. The mean difference less 7.17 standard errors (t
-    with 4 degrees of freedom, one side 0.001) has to be beyond the margin: a wrong claim passes once in 1000 times, each. The
-    means lie beyond the margin by 1.7 and by 1.8 times these 7.17 errors (which frames are short is random): power above 0.99.
+    Over five seeds of the background traffic, of which ours moves otherwise by none. The mean difference less 7.17 standard
+    errors (t with 4 degrees of freedom, one side 0.001) has to be beyond the margin: a wrong claim passes once in 1000 times,
+    each. The means lie beyond the margin by 1.5 times these errors (which frames are short is random): power above 0.93.
     """
-    short, push = ("duration=4", "disturbance=[{at=3, samples=2, value=[0.1]}]"), 60
+    short, push = ("duration=3", "disturbance=[{at=2.5, samples=2, value=[0.1]}]"), 50
     angle = {}
-    for name in (BUSY, OURS):
+    for name, seeds in ((BUSY, range(5)), (OURS, (0, 4))):
         loop = compose(load_experiment(name, ("allow_uncertified=true", *short)), certify=False)
-        runs = [simulate(loop, seed, ["/plant/measurement"]).arrays["/plant/measurement"] for seed in range(5)]
+        runs = [simulate(loop, seed, ["/plant/measurement"]).arrays["/plant/measurement"] for seed in seeds]
         angle[name] = np.array([run["angle"] for run in runs])
+    assert (angle[OURS] == angle[OURS][0]).all()
+    angle[OURS] = angle[OURS][:1]
     for begin, share in ((0, 0.9), (push, 0.2)):
         published, ours = (((angle[name][:, begin:] - 3.0) ** 2).sum(axis=1) for name in (BUSY, OURS))
         gained = share * published - ours

@@ -182,7 +182,7 @@ def test_ends_that_have_too_few_samples_to_equalise_are_not_certified():
 
 def test_ends_that_equalise_and_do_not_wait_for_what_comes_later_are_not_certified():
     """Packets are up to 4 slots old, and the wall waits for 2 or for 4."""
-    late = "network.sc.law={kind='packet',latency={dist='uniform',loc='15 ms',scale='25 ms'}}"
+    late = "network.sc.law={kind='packet',latency={table=[[0,'15 ms'],[1,'40 ms']]}}"
     back = "network.ca={max_age=2,law={kind='constant',age=2}}"
     found = verdict(late, back, "network.sc.max_age=2", name="omni-wifi")
     assert found.state == "undecided" and "samples come up to 4 slots old, and the wall waits for 2" in found.reason

@@ -35,7 +35,7 @@ def given(loop):
 
 
 def test_a_device_that_measures_its_position_is_certified_and_is_given_nothing():
-    for plant in (device(), device(unit="rad", force="N m"), device(process_noise=(0.0, 0.1))):
+    for plant in (device(), device(unit="rad", force="N m"), device(process_noise=(0.0, 0.1), noise_step_s=0.01)):
         loop, verdict = judged(plant)
         assert verdict.certified, verdict.reason
         assert given(loop) < 1e-9
