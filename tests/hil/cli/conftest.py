@@ -2,21 +2,46 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
+import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hil import compose
 from hil.cli import doctor as doctor_page
 from hil.cli import main
+from hil.experiment import Experiment
+from hil.plugins import is_own
+from hil.rig.loop import Loop
 from transport.links import zenoh_refusals
 
 Hil = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def once_for_all_commands() -> Iterator[None]:
+    """The loop of an experiment without a file of its user's is composed, and what is installed is listed, for the first one."""
+    found: dict[bytes, Loop] = {}
+    once = compose._compose
+
+    def composed(experiment: Experiment, *how: object) -> Loop:
+        if any(map(is_own, experiment.kinds.values())) or how[2] is not None:
+            return once(experiment, *how)
+        key = pickle.dumps((experiment, how))
+        return found[key] if key in found else found.setdefault(key, once(experiment, *how))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compose, "_compose", composed)
+        patch.setattr(importlib.metadata, "packages_distributions", cache(importlib.metadata.packages_distributions))
+        yield
 
 
 @pytest.fixture(scope="session")

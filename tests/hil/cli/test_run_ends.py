@@ -54,7 +54,7 @@ class Cart:
     def start(self, rng):
         return Run(LinearRun(self.model(), (0.0,)))
 '''
-WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--json")
+WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--duration", "3", "--json")
 
 
 def prepared(folder: Path, late: str) -> list[str]:

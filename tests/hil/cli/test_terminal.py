@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import random
 import re
 import subprocess
 import sys
@@ -13,8 +14,6 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hil.cli.page_text import print_table
 from hil.cli.terminal import LONGEST, message_lines, visible
@@ -26,21 +25,22 @@ from tests.warm_hil import hil_command
 GOOD = shipped()["dc-motor-hinf"].read_text()
 
 
-CHARACTERS = st.integers(0, 0x10FFFF) | st.integers(0, 0xFF) | st.sampled_from([0x2028, 0x2029, 0x202E, 0xD800, 0xDFFF, 0xE000])
-TEXTS = st.lists(CHARACTERS.map(chr)).map("".join)  # of every category; the tables behind st.text() take a second
+CHARACTERS = "".join(map(chr, (*range(0x3000), *range(0xD7F0, 0xE010), *range(0xE000, 0x10FFFF, 0x1001), 0x10FFFF)))
+"""Of every category."""
 
 
-@given(TEXTS)
-def test_nothing_that_moves_a_cursor_gets_through(text: str) -> None:
-    shown = visible(text)
+def test_nothing_that_moves_a_cursor_gets_through() -> None:
+    shown = visible(CHARACTERS)
     assert not any(ord(c) < 32 or 127 <= ord(c) < 160 or c in "\u2028\u2029\u202e" for c in shown)
     assert visible(shown) == shown
 
 
-@given(st.lists(TEXTS, min_size=1, max_size=50).map("\n".join), st.integers(0, 20_000))
-def test_a_message_has_at_most_2_kB_and_says_what_it_left_out(text: str, more: int) -> None:
-    shown = message_lines(text + "x" * more)
-    assert sum(len(f"hil: {line}\n".encode()) for line in shown) <= LONGEST
+def test_a_message_has_at_most_2_kB_and_says_what_it_left_out() -> None:
+    rng = random.Random(0)
+    for _ in range(100):
+        lines = ["".join(rng.choices(CHARACTERS, k=rng.randrange(40))) for _ in range(rng.randrange(1, 50))]
+        shown = message_lines("\n".join(lines) + "x" * rng.choice((0, rng.randrange(20_000))))
+        assert sum(len(f"hil: {line}\n".encode()) for line in shown) <= LONGEST
 
 
 @pytest.mark.parametrize("columns", [20, 40, 60, 80, 200])
@@ -190,10 +190,9 @@ def test_the_help_of_a_group_cuts_no_sentence(cli: Hil, group: str, monkeypatch:
     assert status == 0 and "..." not in out.replace("[ARGS]...", "") and max(map(len, out.splitlines())) <= 80
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
-def test_a_locale_without_a_sign_of_ours_ends_no_command(tmp_path: Path, encoding: str) -> None:
+def test_a_locale_without_a_sign_of_ours_ends_no_command(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("name,can_id,length,period\nfront\u2013rear,0x12,2,9 ms\n", "utf-8")
     words = [sys.executable, "-m", "hil", "can", "analyse", "t.csv", "--bitrate", "500k"]
-    environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(words, capture_output=True, cwd=tmp_path, env=environment, timeout=120)
     assert done.returncode == 0 and rb"front\u2013rear" in done.stdout, done.stderr
