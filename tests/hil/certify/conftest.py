@@ -1,29 +1,41 @@
 """What verdicts of several tests rest on is computed once for the room: moments of a loop to low degrees where that does,
-bounds, couplers and the norm of a jump system.
+bounds, couplers, radii and norms, and whether a plant of ours moves as it says.
 """
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any
 
 import pytest
 
 import design.jump_linear.leaving as moments
+from design.networked_loop import certify as send_all
 from design.passivity import synthesis
-from design.semi_markov_loop import fault_tolerant_analysis
+from design.semi_markov_loop import fault_tolerant_analysis, sampled
+from hil.certify import CertificationProblem, conformance
+from hil.plugins import is_ours
+from hil.rig import bus_delays
+
+OTHERS = count()
+
+
+def of_plant(loop: CertificationProblem) -> Any:
+    """What the motion of a plant of ours is compared by; each that a test writes is compared on its own."""
+    return (loop.plant, loop.model, loop.motion, loop.input_limits, loop.state_limits) if is_ours(loop.plant) else next(OTHERS)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def computed_once() -> Iterator[None]:
     """The same of the same, wherever a run begins."""
 
-    def once(compute: Callable[..., Any]) -> Callable[..., Any]:
+    def once(compute: Callable[..., Any], of: Callable[..., Any] = lambda *given, **named: (given, named)) -> Callable[..., Any]:
         found: dict[bytes, Any] = {}
 
         def computed(*given: Any, **named: Any) -> Any:
-            key = pickle.dumps((given, named, moments.MOST_PRODUCTS))
+            key = pickle.dumps((of(*given, **named), moments.MOST_PRODUCTS))
             if key not in found:
                 found[key] = compute(*given, **named)
             return found[key]
@@ -31,11 +43,12 @@ def computed_once() -> Iterator[None]:
         return computed
 
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in (
-            (moments, "leaving"), (moments, "ultimate_bound"), (synthesis, "stiffest_coupler"),
-            (fault_tolerant_analysis, "analyse_fault_tolerant"),
+        for module, name, *of in (
+            (moments, "leaving"), (moments, "ultimate_bound"), (synthesis, "stiffest_coupler"), (send_all, "certify_loop"),
+            (fault_tolerant_analysis, "analyse_fault_tolerant"), (sampled, "sampled_verdict"), (bus_delays, "bus_chains"),
+            (conformance, "plant_check", of_plant),
         ):  # fmt: skip
-            patch.setattr(module, name, once(getattr(module, name)))
+            patch.setattr(module, name, once(getattr(module, name), *of))
         yield
 
 
