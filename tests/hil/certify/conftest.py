@@ -55,4 +55,4 @@ def computed_once() -> Iterator[None]:
 @pytest.fixture
 def moments_of_low_degree(monkeypatch: pytest.MonkeyPatch) -> None:
     """A region by moments of few terms, for tests that ask for another verdict, or for whether there is one."""
-    monkeypatch.setattr(moments, "MOST_PRODUCTS", 500_000)
+    monkeypatch.setattr(moments, "MOST_PRODUCTS", 100_000)

@@ -117,7 +117,7 @@ def test_gains_of_one_plant_are_not_certified_over_another(name: str, sets: tupl
     ("name", "sets"),
     [
         pytest.param("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), marks=pytest.mark.slow),
-        ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0")),
+        ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0", "controller.sections=1")),
     ],
 )
 def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_hold_it(name: str, sets: tuple[str, ...]) -> None:
