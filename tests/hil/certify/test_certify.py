@@ -49,6 +49,7 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
 INTEGRAL = "{kind='send-all',selection='constant',integral=true,gains=[[[[-0.1,-0.002]]],[[[-0.1,-0.002]]],[[[-0.1,-0.002]]]]}"
 
 
+@pytest.mark.usefixtures("moments_of_low_degree")
 @pytest.mark.parametrize(
     ("name", "sets", "why"),
     [

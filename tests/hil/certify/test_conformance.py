@@ -34,10 +34,11 @@ def verdict_on(name: str = "dc-motor-h2", **changes: Any) -> Verdict:
     return found
 
 
-def on_own_plant(plant: Plant, controller: Table) -> Verdict | None:
-    """The verdict; None where the loop is refused before one is asked for."""
+def on_own(plant: Plant | None = None, controller: Table | None = None) -> Verdict | None:
+    """The verdict on the motor with a part of one's own; None where the loop is refused before one is asked for."""
+    given = {"controller": {"kind": "local", "gain": [[-0.05]]} if controller is None else controller}
     try:
-        return verdict_on(plant=plant, controller=controller, **{"limits.state": {}})
+        return verdict_on(**given | ({} if plant is None else {"plant": plant}), **{"limits.state": {}})
     except ExperimentError as error:
         assert "check_plant" in str(error) or "check_controller" in str(error)
         return None
@@ -45,7 +46,7 @@ def on_own_plant(plant: Plant, controller: Table) -> Verdict | None:
 
 @pytest.mark.parametrize("lie", PLANT_LIES)
 def test_a_plant_that_is_not_its_model_is_not_certified(lie: str) -> None:
-    found = on_own_plant(Plant(lie), Table())
+    found = on_own(Plant(lie))
     if "huge inputs" in lie:  # beyond the limit of the run: no input is ever so large, and the verdict says how far it was tested
         assert found is not None and any("of 0.005 to 5 V" in said for said in found.assumptions)
     else:
@@ -54,7 +55,7 @@ def test_a_plant_that_is_not_its_model_is_not_certified(lie: str) -> None:
 
 @pytest.mark.parametrize("lie", ["none", *HONEST])
 def test_a_load_or_noise_of_an_own_plant_is_no_departure_and_is_named(lie: str) -> None:
-    found = on_own_plant(Plant(lie), Table())
+    found = on_own(Plant(lie))
     assert found is not None and found.certified, found
     assert any("the plant moves as its model says: compared over" in said for said in found.assumptions)
     assert any(lie.split()[0] in said for said in found.assumptions) or lie == "none"
@@ -96,9 +97,9 @@ class FragileRun(Run):
 
 
 def test_a_plant_that_departs_from_its_model_and_then_raises_is_refused_for_the_first() -> None:
-    found = on_own_plant(Fragile("turned, always"), Table())
+    found = on_own(Fragile("turned, always"))
     assert found is not None and found.state == "refused" and "your plant does not move as its model() says" in found.reason
-    found = on_own_plant(Fragile(), Table())
+    found = on_own(Fragile())
     assert found is not None and found.state == "undecided"
     assert re.fullmatch(rf"the plant could not be compared .*: RuntimeError: it broke \({__file__}, line \d+\)", found.reason)
 
@@ -128,20 +129,20 @@ class LateRun(Rowed):
     ],
 )
 def test_a_controller_that_fails_in_late_slots_is_undecided_with_its_line(late: Callable[[], Any], said: str) -> None:
-    found = on_own_plant(Plant(), LateTable(late))
+    found = on_own(controller=LateTable(late))
     assert found is not None and found.state == "undecided"
     assert re.match(f"the controller could not be compared with what it says: {said}", found.reason)
 
 
 @pytest.mark.parametrize("lie", TABLE_LIES)
 def test_a_controller_that_is_not_its_table_is_not_certified(lie: str) -> None:
-    found = on_own_plant(Plant(), Table(lie))
+    found = on_own(controller=Table(lie))
     assert found is None or not found.certified, lie
 
 
 @pytest.mark.parametrize(("other", "same"), [("small", "large"), ("large", "small")])
 def test_a_controller_that_is_its_table_on_samples_of_one_size_alone_is_non_linear(other: str, same: str) -> None:
-    found = on_own_plant(Plant(), Table(f"{other} samples"))
+    found = on_own(controller=Table(f"{other} samples"))
     assert found is not None and found.state == "undecided"
     assert found.reason.startswith(f"non-linear: the controller answers as its table says on {same} samples, but on samples up")
 
@@ -149,13 +150,13 @@ def test_a_controller_that_is_its_table_on_samples_of_one_size_alone_is_non_line
 @pytest.mark.parametrize("selection", ["constant", "generated", "previous", "both"])
 @pytest.mark.parametrize("lie", ["last row", "of age 1", "a state"])
 def test_every_information_pattern_is_tested(selection: Any, lie: str) -> None:
-    liar = on_own_plant(Plant(), Table(lie, selection=selection))
+    liar = on_own(controller=Table(lie, selection=selection))
     assert liar is not None and liar.state == "refused"
 
 
 @pytest.mark.parametrize("selection", ["constant", "generated", "previous", "both"])
 def test_a_controller_that_keeps_its_table_is_certified_for_every_information_pattern(selection: Any) -> None:
-    honest = on_own_plant(Plant(), Table(selection=selection))
+    honest = on_own(controller=Table(selection=selection))
     assert honest is not None and honest.certified
 
 
@@ -183,12 +184,12 @@ def test_a_plant_that_takes_back_what_it_has_beyond_its_model_is_tested() -> Non
 
     for begins in range(6):
         asked: list[int] = []
-        found = on_own_plant(Coy("unstable, always"), Table())
+        found = on_own(Coy("unstable, always"))
         assert found is None or not found.certified, begins
 
 
 def test_an_own_feedforward_is_the_authors_affair() -> None:
-    found = on_own_plant(Plant(), Table("an own aim"))
+    found = on_own(controller=Table("an own aim"))
     assert found is not None and found.certified
 
 

@@ -51,7 +51,7 @@ def test_gains_over_history_name_the_state_that_is_not_measured_or_the_modes() -
     ("name", "sets", "why"),
     [
         ("smjls-robust", ("controller={kind='local',gain=[[0.0,0.0,0.0]]}",), "jumps between modes, and no proof covers a table"),
-        ("multisensor-ours", ("network.ca.law={kind='iid',probabilities=[0.5,0.5]}",), "0, 1 slots old when they act"),
+        ("multisensor-published", ("network.ca.law={kind='iid',probabilities=[0.5,0.5]}",), "0, 1 slots old when they act"),
     ],
 )
 def test_the_reason_names_the_part_and_what_is_judged(name: str, sets: tuple[str, ...], why: str) -> None:

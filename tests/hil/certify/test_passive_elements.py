@@ -160,14 +160,15 @@ def test_the_damping_of_a_device_that_swings_faster_than_half_the_rate_is_not_re
 
 
 def test_ends_that_equalise_are_judged_at_the_delay_that_they_wait_for():
-    """With rows and gains for an age of 7 they wait for 7 slots, though the law has none above 5: taps for ten fail at twelve."""
-    ten = compose(load_experiment("omni-wifi")).controller.coupler
-    taps = f"controller.coupler={{method='taps',taps_m_per_n={list(ten.taps_m_per_n)},equalise=true}}"
-    assert verdict(taps, name="omni-wifi").certified
-    late = verdict(taps, "network.sc.max_age=7", name="omni-wifi")
-    assert late.state == "refused" and "at a delay of 12 samples" in late.reason
-    made = verdict("network.sc.max_age=7", name="omni-wifi")
-    assert made.certified and "at 12 samples of delay" in made.reason
+    """With rows and gains for an age of 3 they wait for 3 slots, though the law has none above 2: taps for four fail at five."""
+    short = [f"network.{way}.law={{kind='markov',ages=[1,2],matrix=[[0.9,0.1],[0.9,0.1]]}}" for way in ("sc", "ca")]
+    four = compose(load_experiment("omni-wifi", short)).controller.coupler
+    taps = f"controller.coupler={{method='taps',taps_m_per_n={list(four.taps_m_per_n)},equalise=true}}"
+    assert verdict(*short, taps, name="omni-wifi").certified
+    late = verdict(*short, taps, "network.sc.max_age=3", name="omni-wifi")
+    assert late.state == "refused" and "at a delay of 5 samples" in late.reason
+    made = verdict(*short, "network.sc.max_age=3", name="omni-wifi")
+    assert made.certified and "at 5 samples of delay" in made.reason
 
 
 def test_ends_that_have_too_few_samples_to_equalise_are_not_certified():

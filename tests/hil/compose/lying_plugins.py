@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import mul
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,10 +20,11 @@ C = np.array([[1.0, 0.0]])
 
 
 @lru_cache(maxsize=64)
-def flow(a: bytes, b: bytes, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(a dt) and the matrix of input and force over a slot of dt s; most slots of a run ask for the same ones."""
+def flow(a: bytes, b: bytes, dt: float) -> list[list[float]]:
+    """The state after dt s, by state, input and force; most slots of a run ask for the same rows."""
     found = StateSpace(A=np.frombuffer(a).reshape(2, 2), B=np.column_stack([np.frombuffer(b), np.eye(2)]), C=C).discretise(dt)
-    return found.A, found.B
+    rows: list[list[float]] = np.hstack([found.A, found.B]).tolist()
+    return rows
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Run:
     def __init__(self, plant: Plant, rng: np.random.Generator) -> None:
         CALLS["start"] += 1
         self.plant, self.rng, self.k, self.hidden = plant, rng, 0, 1e-6
-        self.x, self.u, self.past = np.array(plant.first), (0.0,), [0.0] * 5
+        self.x, self.u, self.past = [*plant.first], (0.0,), [0.0] * 5
         self.born, self.energy, self.now_ns, self.drawn = CALLS["start"], 0.0, 0, rng.standard_normal(3)
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
@@ -60,8 +62,8 @@ class Run:
         v = u[0] + (w[0] if w else 0.0)
         a, b, force = A.copy(), B.copy(), np.zeros(2)
         LIES[self.plant.lie](self, v, a, b, force)
-        F, G = flow(a.tobytes(), b.tobytes(), dt_ns / 1e9)
-        self.x = F @ self.x + G @ np.array([v, *force])
+        moved = (*self.x, v, *force.tolist())
+        self.x = [sum(map(mul, row, moved)) for row in flow(a.tobytes(), b.tobytes(), dt_ns / 1e9)]
         self.past = [v, *self.past[:-1]]
         self.energy += v * v * dt_ns / SLOT_NS
         self.now_ns += dt_ns
@@ -71,12 +73,12 @@ class Run:
         self.u = (u[0],)
 
     def measure(self) -> tuple[float, ...]:
-        y = float(self.x[0])
+        y = self.x[0]
         return (float(OUTPUTS.get(self.plant.lie, lambda run, y: y)(self, y)),)
 
     @property
     def state(self) -> tuple[float, ...]:
-        return (float(self.x[0]), float(self.x[1]))
+        return (self.x[0], self.x[1])
 
     @property
     def applied(self) -> tuple[float, ...]:
