@@ -5,7 +5,7 @@ bounds, couplers, radii and norms, and whether a plant of ours moves as it says.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import count
 from typing import Any
 
@@ -27,29 +27,31 @@ def of_plant(loop: CertificationProblem) -> Any:
     return (loop.plant, loop.model, loop.motion, loop.input_limits, loop.state_limits) if is_ours(loop.plant) else next(OTHERS)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def computed_once() -> Iterator[None]:
+def once(module: Any, name: str, of: Callable[..., Any] = lambda *given, **named: (given, named)) -> tuple[Any, str, Any]:
+    """A function that computes the same of the same once."""
+    compute, found = getattr(module, name), dict[bytes, Any]()
+
+    def computed(*given: Any, **named: Any) -> Any:
+        key = pickle.dumps((of(*given, **named), moments.MOST_PRODUCTS))
+        if key not in found:
+            found[key] = compute(*given, **named)
+        return found[key]
+
+    return module, name, computed
+
+
+ONCE = (
+    once(moments, "leaving"), once(moments, "ultimate_bound"), once(synthesis, "stiffest_coupler"),
+    once(send_all, "certify_loop"), once(fault_tolerant_analysis, "analyse_fault_tolerant"), once(sampled, "sampled_verdict"),
+    once(bus_delays, "bus_chains"), once(conformance, "plant_check", of_plant),
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same of the same, wherever a run begins."""
-
-    def once(compute: Callable[..., Any], of: Callable[..., Any] = lambda *given, **named: (given, named)) -> Callable[..., Any]:
-        found: dict[bytes, Any] = {}
-
-        def computed(*given: Any, **named: Any) -> Any:
-            key = pickle.dumps((of(*given, **named), moments.MOST_PRODUCTS))
-            if key not in found:
-                found[key] = compute(*given, **named)
-            return found[key]
-
-        return computed
-
-    with pytest.MonkeyPatch.context() as patch:
-        for module, name, *of in (
-            (moments, "leaving"), (moments, "ultimate_bound"), (synthesis, "stiffest_coupler"), (send_all, "certify_loop"),
-            (fault_tolerant_analysis, "analyse_fault_tolerant"), (sampled, "sampled_verdict"), (bus_delays, "bus_chains"),
-            (conformance, "plant_check", of_plant),
-        ):  # fmt: skip
-            patch.setattr(module, name, once(getattr(module, name), *of))
-        yield
+    for module, name, computed in ONCE:
+        monkeypatch.setattr(module, name, computed)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import cache
 from io import StringIO
@@ -20,28 +20,30 @@ from hil.cli import doctor as doctor_page
 from hil.cli import main
 from hil.experiment import Experiment
 from hil.plugins import is_own
+from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop
 from transport.links import zenoh_refusals
 
 Hil = Callable[..., tuple[int, str, str]]
 
 
-@pytest.fixture(scope="session", autouse=True)
-def once_for_all_commands() -> Iterator[None]:
+INSTALLED = cache(importlib.metadata.packages_distributions)
+COMPOSED: dict[bytes, Loop] = {}
+
+
+@pytest.fixture(autouse=True)
+def once_for_all_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop of an experiment without a file of its user's is composed, and what is installed is listed, for the first one."""
-    found: dict[bytes, Loop] = {}
     once = compose._compose
 
     def composed(experiment: Experiment, *how: object) -> Loop:
-        if any(map(is_own, experiment.kinds.values())) or how[2] is not None:
+        if any(is_own(kind) or kind.startswith(OBJECT) for kind in experiment.kinds.values()) or how[2] is not None:
             return once(experiment, *how)
         key = pickle.dumps((experiment, how))
-        return found[key] if key in found else found.setdefault(key, once(experiment, *how))
+        return COMPOSED[key] if key in COMPOSED else COMPOSED.setdefault(key, once(experiment, *how))
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compose, "_compose", composed)
-        patch.setattr(importlib.metadata, "packages_distributions", cache(importlib.metadata.packages_distributions))
-        yield
+    monkeypatch.setattr(compose, "_compose", composed)
+    monkeypatch.setattr(importlib.metadata, "packages_distributions", INSTALLED)
 
 
 @pytest.fixture(scope="session")

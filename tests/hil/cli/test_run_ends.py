@@ -54,7 +54,8 @@ class Cart:
     def start(self, rng):
         return Run(LinearRun(self.model(), (0.0,)))
 '''
-WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--duration", "3", "--json")
+WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--duration", "3",
+         "--json")  # fmt: skip
 
 
 def prepared(folder: Path, late: str) -> list[str]:
