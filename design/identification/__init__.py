@@ -84,12 +84,12 @@ def forced(u: Array, pole: float, period_s: float) -> tuple[Array, Array]:
         period_s: T in s.
     """
     step = held(pole, period_s)
-    V = recursion((-step.a,), _late(u))  # speed over s1
-    dV = recursion((-step.a,), _late(V))  # its derivative by a
+    V = recursion((-step.a,), u)  # speed over s1
+    dV = recursion((-step.a,), V)  # its derivative by a
     speed, slope = step.s1 * V, step.ds1 * V + step.s1 * step.da * dV
     moved = step.s1 * speed + step.s2 * u
     grown = step.ds1 * speed + step.s1 * slope + step.ds2 * u
-    return _summed(moved), _summed(grown)
+    return recursion((-1.0,), moved), recursion((-1.0,), grown)
 
 
 def free(count: int, pole: float, period_s: float) -> tuple[Array, Array]:
@@ -104,29 +104,22 @@ def free(count: int, pole: float, period_s: float) -> tuple[Array, Array]:
     k = np.arange(count)
     decay = np.exp(-pole * period_s * k)
     slope = -period_s * k * decay
-    return _summed(step.s1 * decay), _summed(step.ds1 * decay + step.s1 * slope)
-
-
-def _late(signal: Array) -> Array:
-    return np.concatenate(([0.0], signal[:-1]))
-
-
-def _summed(steps: Array) -> Array:
-    return _late(np.cumsum(steps))
+    return recursion((-1.0,), step.s1 * decay), recursion((-1.0,), step.ds1 * decay + step.s1 * slope)
 
 
 def recursion(feedback: Sequence[float], x: Array) -> Array:
-    """Return v(k) = x(k) - a_1 v(k-1) - a_2 v(k-2) - ..., from rest: the solution of a band of equations, (n,).
+    """Return v(k) = x(k-1) - a_1 v(k-1) - a_2 v(k-2) - ..., from rest: the solution of a band of equations, (n,).
 
     Args:
         feedback: a_1, a_2, ...
         x: what is filtered (n,).
 
     >>> recursion((-0.5,), np.array([1.0, 0.0, 0.0])).tolist()
-    [1.0, 0.5, 0.25]
+    [0.0, 1.0, 0.5]
     """
     band = np.broadcast_to(np.array([[1.0], *([a] for a in feedback)]), (1 + len(feedback), x.size))
-    return np.asarray(dtbsv(len(feedback), band, x, lower=1, diag=1))  # scipy.signal takes half a second of imports
+    # scipy.signal takes half a second of imports
+    return np.asarray(dtbsv(len(feedback), band, np.concatenate(([0.0], x[:-1])), lower=1, diag=1))
 
 
 LEAST_SAMPLES = 20
@@ -298,5 +291,4 @@ def dry_friction(
 def _speed(record: Record, gain: float, pole: float, begin: float) -> Array:
     """Return v(k) (n,): v(k+1) = a v(k) + g s1 u(k)."""
     step = held(pole, record.period_s)
-    pushed = np.concatenate(([begin], gain * step.s1 * record.u[:-1]))
-    return recursion((-step.a,), pushed)
+    return begin * step.a ** np.arange(record.u.size) + recursion((-step.a,), gain * step.s1 * record.u)

@@ -72,8 +72,7 @@ def state_variable_filter(records: Sequence[Record], cutoff: float) -> tuple[flo
     for record in records:
         kept = record.measured
         index = np.arange(record.y.size)
-        moved = np.interp(index, index[kept], record.y[kept])
-        speed = np.diff(moved, append=moved[-1]) / record.period_s
+        speed = np.diff(np.interp(index, index[kept], record.y[kept]), append=0.0) / record.period_s  # the last one moves nothing
         first = int(SKIPPED / (cutoff * record.period_s)) + 1
         if speed.size - first < 10:
             continue
@@ -91,7 +90,7 @@ def _filtered(held: Array, z: float, slope: float = 0.0) -> Array:
     """Return l^2/(s + l)^2 of a signal that is held over every sample, z = l T; with slope = l, s times that."""
     e = math.exp(-z)
     now, before = (slope * z * e, -slope * z * e) if slope else (1.0 - e - z * e, e * (e + z - 1.0))
-    return recursion((-2.0 * e, e * e), np.convolve(held, (0.0, now, before))[: held.size])
+    return recursion((-2.0 * e, e * e), np.convolve(held, (now, before))[: held.size])
 
 
 LAGS = 20
