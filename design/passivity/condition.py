@@ -271,11 +271,8 @@ def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int], *, 
 def dirichlet(taps: int, t: Array) -> Array:
     """Return D_0(t) .. D_(taps-1)(t) as rows, D_l(t) = sin((l + 1/2) t)/sin(t/2)."""
     l, s = np.arange(taps)[:, None], np.sin(t / 2.0)
-    small, found = np.abs(s) < 1e-9, (l + 0.5) * t
-    np.sin(found, out=found)  # of many taps they are millions: in place
-    found /= np.where(small, 1.0, s)
-    found[:, small] = 2.0 * l + 1.0
-    return found
+    small = np.abs(s) < 1e-9
+    return np.asarray(np.where(small, 2.0 * l + 1.0, np.sin((l + 0.5) * t) / np.where(small, 1.0, s)))
 
 
 def fejer(order: int, t: Array) -> Array:

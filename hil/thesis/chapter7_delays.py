@@ -6,7 +6,6 @@ The estimate is the state of the chain, in the place of a row for every d_k (Sec
 
 from __future__ import annotations
 
-import itertools
 import math
 from itertools import product
 from typing import Any
@@ -118,7 +117,7 @@ def late_estimate(previous: Array) -> dict[str, Any]:
     Args:
         previous: gains over (tau_k, d_k-1), [tau, r, m, p], at which the descent starts.
     """
-    pasts = list(itertools.product(range(len(NETWORK[1])), repeat=len(NETWORK[0])))
+    pasts = list(product(range(len(NETWORK[1])), repeat=len(NETWORK[0])))
     moves = np.array([[NETWORK[1][old[0], new[0]] * (new[1:] == old[:-1]) for new in pasts] for old in pasts])
     chain = DelayChain(transition=moves, delays=np.array([past[0] for past in pasts]), labels=np.arange(len(pasts)))
     loop = loop_structure(*motor(), NETWORK[0], chain, "previous")
