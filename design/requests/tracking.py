@@ -169,7 +169,7 @@ class Designed:
             raise FieldError("integral", f"{model.B.shape[1]} inputs cannot make the mean errors of {p} outputs zero")
         if self.file:
             read = self._read(task)
-            return self._as_filed(task, read, read.gains, read.selection)
+            return self._as_filed(task, read, read.gains, read.state_gains, read.selection)
         sc, ca = task.chains
         ages: tuple[int, ...] = ()
         if several and self.samples > 1:
@@ -225,6 +225,7 @@ class Designed:
             FieldError: names the field.
             DesignError: no gains meet the request.
         """
+        from design.tracking import state_gains_of
         from design.tracking.design_file import problem_of
         from design.tracking.gain_cache import solve_cached
 
@@ -234,12 +235,16 @@ class Designed:
             what = self.unfit(task) or "its loop"
             raise FieldError("file", f"robust gains are for their own loop ({what}); design them with hil design --robust anew")
         design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
-        return self._as_filed(task, read, _rows(design.gains, ca, read.row_sojourns), design.selection)
+        rows, own = state_gains_of(design.gains, filed.order)
+        return self._as_filed(task, read, _rows(rows, ca, read.row_sojourns), own, design.selection)
 
-    def _as_filed(self, task: DesignTask, read: DesignFile, gains: NDArray[np.float64], selection: str) -> SendAll:
+    def _as_filed(
+        self, task: DesignTask, read: DesignFile, gains: NDArray[np.float64], own: NDArray[np.float64], selection: str
+    ) -> SendAll:
         return _covering(task, SendAll(
             gains=nested(gains), selection=selection, integral=read.integral, sojourns=read.sojourns,  # type: ignore[arg-type]
             samples=read.samples, row_sojourns=read.row_sojourns, integral_limit=self.integral_limit,
+            state_gains=nested(own) if own.size else (),
         ))  # fmt: skip
 
     def _read(self, task: DesignTask) -> DesignFile:

@@ -19,7 +19,7 @@ from design.controllers import LoopModel
 from design.errors import FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
-from design.tracking import TrackingProblem, row_sojourns_of, with_every_row
+from design.tracking import TrackingProblem, row_sojourns_of, state_gains_of, with_every_row
 from design.tracking.synthesis import Design
 
 MAX_BYTES: Final = 20_000_000
@@ -67,6 +67,7 @@ class DesignFile(Struct, frozen=True, kw_only=True):
     Args:
         selection: row rule.
         gains: (tau labels, rows, m, py).
+        state_gains: (tau labels, c, py) of the controller's own states, c = 0 without.
         integral: the last p columns belong to the integral of the measured error.
         samples: samples per sensor packet.
         sojourns: how many tables belong to every tau; () for one each.
@@ -78,6 +79,7 @@ class DesignFile(Struct, frozen=True, kw_only=True):
 
     selection: str
     gains: Array
+    state_gains: Array
     integral: bool
     samples: int
     sojourns: tuple[int, ...]
@@ -157,10 +159,15 @@ def _design(document: Any) -> DesignFile:
     samples = known.get("samples", 1)
     if samples not in (1, 2):
         raise FieldError("problem.samples", f"{samples!r:.60}, expected 1 or 2")
-    stays, rows = _row_sojourns(known.get("ca"), gains)
+    order, most = known.get("order", 0), min((gains.shape[1] - 1) * gains.shape[2], gains.shape[3] - 1)
+    if not isinstance(order, int) or not 0 <= order <= max(most, 0):
+        raise FieldError("problem.order", f"{order!r:.60}, expected a whole number of states that the gains have rows for")
+    own, state_gains = state_gains_of(gains, order)
+    stays, rows = _row_sojourns(known.get("ca"), own)
     return DesignFile(
         selection=selection,
         gains=rows,
+        state_gains=state_gains,
         integral=bool(known.get("integral", 0)),
         samples=samples,
         sojourns=_sojourns(known.get("sc")),

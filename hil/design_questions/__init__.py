@@ -171,11 +171,13 @@ def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
 def linear_verdict(target: TrackingTarget, design: Design, sc: DelayChain, ca: DelayChain) -> Verdict:
     """Return the verdict on a design with the plant's matrices, over two delay chains."""
     from design.networked_loop.certify import certify_loop
+    from design.tracking import state_gains_of
 
     moves, integrates = motion_at(target), float(bool(design.problem.integral))
-    gains = gains_within(design.gains, design.selection, sc, ca)
+    rows, state_gains = state_gains_of(design.gains, design.problem.order)
     found = certify_loop(
-        moves.A, moves.B, moves.C, sc, ca, gains, design.selection, samples=design.problem.samples, integral=integrates
+        moves.A, moves.B, moves.C, sc, ca, gains_within(rows, design.selection, sc, ca), design.selection,
+        samples=design.problem.samples, integral=integrates, state_gains=state_gains[: int(sc.label.max()) + 1],
     )  # fmt: skip
     return second_moment_verdict(found, digest_of_design(target, design))
 

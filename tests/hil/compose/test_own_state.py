@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import hil
 from design.controllers import LoopModel, SendAll
 from hil.compose import compose
+from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.prediction import predict
 from hil.plugins.checks import check_table
@@ -66,3 +70,17 @@ def test_a_strangers_state_has_to_fit_its_table() -> None:
     model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=0, d_max=0)
     with pytest.raises(AssertionError, match=r"state_gains of shape \(1, 1, 3\), expected \(1, 1, 2\)"):
         check_table(Own(), model)  # type: ignore[arg-type]
+
+
+def test_a_design_and_its_file_have_the_verdict_of_the_loop_that_runs_them(shipped: Loop, tmp_path: Path) -> None:
+    found = hil.design("dc-motor", order=1, R=0.5, reference_weight=3.0, starts=1)
+    found.save(tmp_path / "one.json")
+    table = f"controller={{kind='designed', file='{tmp_path}/one.json'}}"
+    verdict, slower = (compose(load_experiment(NAME, [table, *sets])).verdict for sets in ((), ("plant.gain=150",)))
+    assert verdict is not None and slower is not None and verdict.certified and slower.certified
+    assert found.verdict.number == pytest.approx(verdict.number, rel=1e-12) and slower.number != verdict.number
+    document = json.loads((tmp_path / "one.json").read_text())
+    for order in (2, -1, "1", 1.0):
+        (tmp_path / "one.json").write_text(json.dumps(document | {"problem": document["problem"] | {"order": order}}))
+        with pytest.raises(HilError, match=r"problem\.order: .*, expected a whole number of states that the gains have rows for"):
+            compose(load_experiment(NAME, [table]))
