@@ -76,7 +76,7 @@ def test_a_design_is_judged_over_the_modes_that_a_run_reaches() -> None:
     experiment = load_experiment("dc-motor-packets", [f"network.{name}={value}" for name, value in said.items()])
     target = target_of(experiment, "stays")
     design = solve_tracking(problem_for(target, **FAST))
-    steep = replace(design, gains=np.full_like(design.gains, -0.35))
+    steep = msgspec.structs.replace(design, gains=np.full_like(design.gains, -0.35))
     gains = {"controller": SendAll(gains=nested(steep.gains), selection=steep.selection)}
     run = compose(msgspec.structs.replace(experiment, **gains, kinds={**experiment.kinds, "controller": "send-all"})).verdict
     verdict = verdict_on(target, steep)
