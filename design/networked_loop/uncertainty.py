@@ -129,7 +129,7 @@ def guaranteed_h2(
 
 def _channel(structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike) -> _Channel:
     K = check_gains(gains, structure.gain_shape)
-    n, m = structure.plant_order, structure.B.shape[2]
+    n, m = structure.plant_order, structure.gain_shape[2]
     M_, N1_, N2_ = (np.atleast_2d(np.asarray(v, dtype=np.float64)) for v in (M, N1, N2))
     for name, value, axis, size in (("M", M_, 0, n), ("N1", N1_, 1, n), ("N2", N2_, 1, m)):
         if value.shape[axis] != size or not np.isfinite(value).all():
@@ -141,7 +141,8 @@ def _channel(structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N
     enter[:, :n] = M_
     of_state = N2_ @ structure.applied_input(K)
     of_state[:, :, :n] += N1_
-    of_disturbance = np.repeat(N2_[None], modes, axis=0)
+    of_disturbance = np.zeros((modes, len(N2_), structure.B.shape[2]))
+    of_disturbance[:, :, :m] = N2_  # a step of the reference moves the state, and no input
     return _Channel(structure.matrices(K), structure.B, structure.C, structure.transition, enter, of_state, of_disturbance)
 
 

@@ -220,6 +220,9 @@ class TrackingProblem:
             raise FieldError("starts", f"{self.starts}, expected a number from 0 to {MOST_STARTS}")
         if not 0 <= self.reference_weight < math.inf:
             raise FieldError("reference_weight", f"{self.reference_weight:g}, expected a finite number >= 0")
+        for field in ("order", "reference_weight"):
+            if self.method == "ccl" and getattr(self, field):
+                raise FieldError(field, "the thesis's iterated linear matrix inequalities have none, expected 0")
         if not 0 <= self.order <= MOST_STATES:
             raise FieldError("order", f"{self.order}, expected a number from 0 to {MOST_STATES}")
         if self.seed < 0:

@@ -17,6 +17,9 @@ from hil.cli.terminal import answer as print_answer
 from hil.errors import HilError, exit_status, located
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from design.processes.delay_chain import Array
     from design.requests.tracking import LocalDesigned
     from design.tracking.synthesis import Design
     from hil.design_questions import TrackingTarget
@@ -112,7 +115,7 @@ def network_document(
 
 
 def _show(design: Design, document: dict[str, Any], unit: str) -> None:
-    from design.tracking import row_sojourns_of
+    from design.tracking import row_sojourns_of, state_gains_of
     from hil.pages import Table
 
     c, problem = design.certificate, design.problem
@@ -123,19 +126,27 @@ def _show(design: Design, document: dict[str, Any], unit: str) -> None:
         last = "+" if row % lasted == lasted - 1 else ""
         return f"d {row // lasted}, slot {row % lasted + 1}{last}" if lasted > 1 else f"row {row}"
 
-    several = design.gains[0, 0].size > 1  # numbers in a cell
+    K, state_gains = state_gains_of(design.gains, problem.order)
+    several = K[0, 0].size > 1  # numbers in a cell
     wide = max(len(f"{v:.5g}") for v in design.gains.ravel()) if several else 0
     stays = [(tau, at) for tau, count in enumerate(sc.sojourns) for at in range(1, count + 1)]
-    rows = [
-        [
-            f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}",
-            *("  ".join(f"{v:>{wide}.5g}" for v in gain.ravel()) for gain in gains),
+
+    def table(title: str, heads: Iterable[str], gains: Array) -> None:
+        rows = [
+            [
+                f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}",
+                *("  ".join(f"{v:>{wide}.5g}" for v in gain.ravel()) for gain in own),
+            ]
+            for (tau, at), own in zip(stays, gains, strict=True)
         ]
-        for (tau, at), gains in zip(stays, design.gains, strict=True)
-    ]
-    heads = ["tau", *map(heading, range(design.gains.shape[1]))]
-    order = "; in a row all outputs for the first input, then the next" if several else ""
-    print_table(Table(title=f"gains K[tau][row] in {unit}, row by {design.selection!r}{order}", columns=heads, rows=rows))
+        print_table(Table(title=title, columns=["tau", *heads], rows=rows))
+
+    known = "all outputs, then the controller's own state," if problem.order else "all outputs"
+    order = f"; in a row {known} for the first input, then the next" if several else ""
+    table(f"gains K[tau][row] in {unit}, row by {design.selection!r}{order}", map(heading, range(K.shape[1])), K)
+    if problem.order:
+        heads = (f"state {i + 1}" for i in range(problem.order))
+        table("what makes the controller's own state of the next slot, of all outputs, then that state", heads, state_gains)
     bounds = document["lower_bounds"]
     lines = [
         ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),

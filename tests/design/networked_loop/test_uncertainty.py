@@ -8,6 +8,7 @@ from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
+from design.tracking import TrackingProblem
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF
 
 # the motor's time constant and gain known to about 10 %: the input matrix and the speed's row move together
@@ -50,9 +51,14 @@ def test_guaranteed_norms_bound_those_of_sampled_plants():
     assert worst_hinf < bounds.hinf < 2 * worst_hinf
 
 
-def test_vanishing_uncertainty_leaves_the_nominal_norms():
-    nominal = short().system(SHORT_GAINS)
-    bounds = robust_norms(short(), SHORT_GAINS, 1e-4 * M, N1, N2)
+@pytest.mark.parametrize("reference_weight", [0.0, 3.0])
+def test_vanishing_uncertainty_leaves_the_nominal_norms(reference_weight):
+    asked = TrackingProblem(A=MOTOR[0], B=MOTOR[1], C=MOTOR[2], sc=[[1.0]], ca=PI, information="generated",
+                            reference_weight=reference_weight)  # fmt: skip
+    loop = asked.structure()
+    nominal = loop.system(SHORT_GAINS)
+    bounds = robust_norms(loop, SHORT_GAINS, 1e-4 * M, N1, N2)
+    assert uncertainty_margin(loop, SHORT_GAINS, M, N1, N2) == uncertainty_margin(short(), SHORT_GAINS, M, N1, N2)
     assert np.isclose(bounds.h2, h2_norm(nominal), rtol=1e-3)
     assert np.isclose(bounds.hinf, hinf_norm(nominal), rtol=1e-3)
 

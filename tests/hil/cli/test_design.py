@@ -42,6 +42,16 @@ def test_table_shows_gains_and_certificate():
         assert re.search(said, text), said
 
 
+def test_a_controller_with_a_state_is_shown_by_what_makes_it_and_no_ccl_finds_one():
+    words = ("dc-motor", "--information", "constant", "--starts", "1", "--order", "1", "--reference-weight", "1")
+    text = " ".join(run(*words).stdout.split())
+    for said in (r"\[row\] .* then the controller's own state,", r"tau state 1 ─+ 0 \S+ \S+ 1 ", r" H2 norm 2\.[5-9]"):
+        assert re.search(said, text), said
+    for option in ("--order", "--reference-weight"):
+        with pytest.raises(HilError, match=f"{option[2:].replace('-', '_')}: the thesis's iterated linear matrix inequalities"):
+            run("dc-motor", "--method", "ccl", option, "1")
+
+
 def test_file_is_a_design_that_loads(tmp_path):
     from design.tracking.design_file import load_design
 
