@@ -295,11 +295,12 @@ def controller_traits(controller: object) -> ControllerTraits:
         samples=int(controller.samples) if isinstance(controller, SeveralSamples) else 1,
         integrates=isinstance(controller, IntegralAction) and bool(controller.integral),
         integral_limit=tuple(controller.integral_limit) if isinstance(controller, ClampedIntegral) else (),
-        state_gains=controller.state_gains if isinstance(controller, OwnState) else (),
+        state_gains=tuple(tuple(tuple(map(float, row)) for row in own) for own in controller.state_gains)
+        if isinstance(controller, OwnState) else (),
         sojourns=controller.sojourns if isinstance(controller, SojournDependent) else (),
         row_sojourns=int(controller.row_sojourns) if isinstance(controller, RowsOfStays) else 1,
         ages=tuple(controller.ages) if isinstance(controller, DistinguishesAges) else (),
-    )
+    )  # fmt: skip
 
 
 def check_row_sojourns(row_sojourns: int, rule: str, field: str) -> None:

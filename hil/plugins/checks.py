@@ -199,7 +199,8 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     said = [f"{name} is a Controller: it can run in a loop"]
     if isinstance(controller, GainTable):
         check_table(controller, model)
-        said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly, and its error is predicted")
+        alone = "" if controller_traits(controller).state_gains else ", and its error is predicted"
+        said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly{alone}")
     if isinstance(controller, LinearFeedback | AgedFeedback):
         kind = "LinearFeedback" if isinstance(controller, LinearFeedback) else "AgedFeedback"
         said.append(f"{name} is a {kind}: linear with states of its own, and its loop over delay chains is certified")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hil
-from design.controllers import LoopModel, SendAll
+from design.controllers import LoopModel, SendAll, controller_traits
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -70,6 +70,9 @@ def test_a_strangers_state_has_to_fit_its_table() -> None:
     model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=0, d_max=0)
     with pytest.raises(AssertionError, match=r"state_gains of shape \(1, 1, 3\), expected \(1, 1, 2\)"):
         check_table(Own(), model)  # type: ignore[arg-type]
+    Own.state_gains = np.array([[[1.0, 0.5]]])  # type: ignore[assignment]
+    check_table(Own(), model)  # type: ignore[arg-type]
+    assert controller_traits(Own()).state_gains == (((1.0, 0.5),),)
 
 
 def test_a_design_and_its_file_have_the_verdict_of_the_loop_that_runs_them(shipped: Loop, tmp_path: Path) -> None:
