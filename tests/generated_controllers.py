@@ -116,14 +116,15 @@ def c_on_hil(words: Sequence[str], loop: Loop, channel: str, options: str = "") 
 
 
 class _Asking:
-    """Asks over a link, and waits for the answer to this slot."""
+    """Asks over a link, each frame so many times, and waits for the answer to this slot."""
 
-    def __init__(self, link: Link, period_ns: int) -> None:
-        self._link, self._period_ns = link, period_ns
+    def __init__(self, link: Link, period_ns: int, times: int) -> None:
+        self._link, self._period_ns, self._times = link, period_ns, times
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         for frame in frames:
-            self._link.send(frame)
+            for _ in range(self._times):
+                self._link.send(frame)
 
     def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         limit = monotonic_ns() + round(1e9 * PATIENCE_S)
@@ -134,13 +135,14 @@ class _Asking:
         raise AssertionError(f"slot {t_ns // self._period_ns}: no answer within {PATIENCE_S:g} s")
 
 
-def asked_over(loop: Loop, seed: int, uri: str) -> Run:
+def asked_over(loop: Loop, seed: int, uri: str, times: int = 1) -> Run:
     """Run a loop's rig in virtual time; whoever is on the link answers.
 
     Args:
         loop: composed.
         seed: of the run.
         uri: of the link.
+        times: so often comes each frame.
     """
     e = loop.experiment
     sink = MemorySink(channels_of(loop))
@@ -148,7 +150,7 @@ def asked_over(loop: Loop, seed: int, uri: str) -> Run:
     with open_link(link_of(loop.rig, uri).uri, "rig") as link:
         assert Handshake(link, PATIENCE_S, lambda: False, monotonic_ns, wire).greet().answered
         rig = Rig(loop, seed, sink, channels_of(loop), lambda: None, wire)
-        slot = Slot(rig, _Asking(link, e.period_ns), sink.commit)
+        slot = Slot(rig, _Asking(link, e.period_ns, times), sink.commit)
         for k in range(e.slots):
             slot.run(k * e.period_ns)
     return Run.from_memory(sink, summary=dict(rig.outcome()))

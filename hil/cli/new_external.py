@@ -208,12 +208,12 @@ def _root_bits(prime: int, degree: int) -> int:
 
 
 class LawTables(Struct, frozen=True, kw_only=True, eq=False):
-    """u_row = Omega r + K[table, row] z, xi' = F z; z are the errors y - r of the newest samples, and the state xi.
+    """u_row = Omega r + K[table, row] z, xi' = F[table] z; z are the errors y - r of the newest samples, and the state xi.
 
     Args:
         omega: feedforward, (m, p).
         gains: K, (tables, rows, m, width).
-        state: F, (state, width).
+        state: F, (tables, state, width).
         state_first: z is (xi, e), else (e, xi): sums are rounded in this order.
         samples: samples of every output in e.
         ages: of each sensor node how many ages have tables of their own; empty where the oldest age has the table.
@@ -238,25 +238,25 @@ def law_tables(loop: Loop) -> LawTables:
     controller, model = loop.controller, loop.model
     m, p = model.B.shape[1], model.C.shape[0]
     its = controller_traits(controller)
-    if isinstance(controller, GainTable) and not its.state_gains:
+    if isinstance(controller, GainTable):
         K = np.asarray(controller.table(model), dtype=float)
         sojourns = (1,) * len(K) if isinstance(its.sojourns, int) or not its.sojourns else tuple(its.sojourns)
-        width = p * (its.samples + its.integrates)
-        moved = np.zeros((p * its.integrates, width))  # the sum of the newest errors
+        moved = np.zeros((p * its.integrates, K.shape[-1]))  # the sum of the newest errors
         for i in range(len(moved)):
             moved[i, [i, p * its.samples + i]] = 1.0
+        moves = np.array(its.state_gains) if its.state_gains else np.repeat(moved[None], len(K), axis=0)
         return LawTables(
-            omega=feedforward(model), gains=K, state=moved, state_first=False, samples=its.samples,
+            omega=feedforward(model), gains=K, state=moves, state_first=False, samples=its.samples,
             ages=its.ages if len(its.ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)), limit=its.integral_limit,
         )  # fmt: skip
     if isinstance(controller, LinearFeedback):
         law = controller.linear_law(model)
         return LawTables(
-            omega=feedforward(model), gains=np.hstack([law.C, law.D])[None, None], state=np.hstack([law.A, law.B]),
+            omega=feedforward(model), gains=np.hstack([law.C, law.D])[None, None], state=np.hstack([law.A, law.B])[None],
             state_first=True, samples=1, ages=(), ranges=((0, 0),),
         )  # fmt: skip
     return LawTables(
-        omega=np.zeros((m, p)), gains=np.zeros((1, loop.rows, m, p * loop.samples)), state=np.zeros((0, p * loop.samples)),
+        omega=np.zeros((m, p)), gains=np.zeros((1, loop.rows, m, p * loop.samples)), state=np.zeros((1, 0, p * loop.samples)),
         state_first=False, samples=loop.samples, ages=(), ranges=((0, 0),),
         why_none=f"the controller {loop.experiment.kinds.get('controller', '?')!r} is no table of gains alone",
     )  # fmt: skip

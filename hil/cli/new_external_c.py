@@ -39,7 +39,7 @@ def c_tables(of: ExternalController, database: Any) -> str:
     if ids is None:
         raise HilError("a program in C needs a CAN link")
     tables, rows, inputs, width = law.gains.shape
-    outputs, states = law.omega.shape[1], len(law.state)
+    outputs, states = law.omega.shape[1], law.state.shape[1]
     values = [len(sensor.outputs) * sensor.buffer for sensor in sensors]
     question, answer = sensor_length(max(values) + outputs, of.keyed), control_length(rows * inputs, of.keyed)
     whole = sensors[0].outputs == tuple(range(outputs))
@@ -64,7 +64,7 @@ def c_tables(of: ExternalController, database: Any) -> str:
         ("double", "STATE_LIMIT[STATES ? STATES : 1]", list(law.limit) or np.full(max(states, 1), np.finfo(float).max)),
         ("double", "FEEDFORWARD[INPUTS][OUTPUTS]", law.omega),
         ("double", "GAINS[TABLES][ROWS][INPUTS][STATES + Y_SIZE]", law.gains),
-        ("double", "NEXT[STATES ? STATES : 1][STATES + Y_SIZE]", law.state if states else np.zeros((1, width))),
+        ("double", "NEXT[TABLES][STATES ? STATES : 1][STATES + Y_SIZE]", law.state if states else np.zeros((tables, 1, width))),
     ]
     return "\n".join([
         f"/* The loop of {in_comment(of.loop.experiment.name)}: law, packets, and how they stand in cantools' structs.",

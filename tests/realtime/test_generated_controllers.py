@@ -43,13 +43,15 @@ def assert_same_run(run: Run, own: Run) -> None:
             np.testing.assert_array_equal(a[name], b[name], err_msg=f"{topic} {name}")
 
 
-def answered(folder: Path, loop: Loop, language: Language, options: str = "", auth: str = "", level: str = "-O0") -> Run:
+def answered(
+    folder: Path, loop: Loop, language: Language, options: str = "", auth: str = "", level: str = "-O0", times: int = 1
+) -> Run:
     """The run of a rig that a generated program answers over `can:hil`."""
     channel, keyed = f"gen{language}{os.getpid()}", bool(auth)
     words = generate(folder, loop, language, keyed=keyed, level=level) + ([auth] if keyed else [])
     uri = f"can:hil:{channel}{options}" + ("?" if not options else "&") * keyed + f"auth={auth}" * keyed
     with runs([*words, channel]) if language == "python" else c_on_hil(words, loop, channel, options):
-        return asked_over(loop, SEED, uri)
+        return asked_over(loop, SEED, uri, times)
 
 
 @LANGUAGES
@@ -60,6 +62,7 @@ def answered(folder: Path, loop: Loop, language: Language, options: str = "", au
         ("dc-motor-ours-two-samples", EXACT),
         ("dc-motor-ours-integral", EXACT),
         ("dc-motor-hinf", (*EXACT, CLAMPED)),
+        ("dc-motor-ours-memory", EXACT),
         ("dc-motor-ours-bursty", EXACT),  # gains by the sojourn time
         ("dc-motor-ours-stays", (*EXACT, "reference.0.value=[0.25]")),  # rows by the stay of d
         ("dc-motor-two-nodes", EXACT),  # gains by the age of each node
@@ -76,6 +79,12 @@ def test_a_linear_controller_with_a_state_is_the_same(tmp_path: Path, language: 
     law = '{kind="output-feedback", A=[[0.5, 0.1], [0.0, 0.3]], B=[[0.7], [-0.2]], C=[[-0.05, 0.01]], D=[[-0.08]]}'
     loop = loop_of("dc-motor-hinf", *EXACT, f"controller={law}", "allow_uncertified=true")
     assert_same_run(answered(tmp_path, loop, language, level="-O2"), simulate(loop, SEED))
+
+
+@LANGUAGES
+def test_a_frame_that_comes_twice_moves_no_state_twice(tmp_path: Path, language: Language) -> None:
+    loop = loop_of("dc-motor-ours-memory", *EXACT)
+    assert_same_run(answered(tmp_path, loop, language, times=2), simulate(loop, SEED))
 
 
 @LANGUAGES

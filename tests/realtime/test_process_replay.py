@@ -10,11 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from hil.cli.new_external import Language
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read import read_run
 from hil.session import run_session
 from hil.session.replay.over_link import ask_process
+from tests.generated_controllers import c_on_hil, generate, runs
 from tests.process_replay import DATA, PROGRAMS, answering, asked
 from tests.warm_hil import hil_command
 
@@ -72,6 +75,20 @@ def test_our_own_controller_answers_again_as_it_did(tmp_path: Path) -> None:
         finally:
             process.terminate()
     assert found.different == 0 and found.compared > 20, [str(each) for each in found.differences]
+
+
+@pytest.mark.parametrize("language", ["python", "c"])
+def test_a_generated_program_answers_as_our_own_did_however_often_it_is_asked(tmp_path: Path, language: Language) -> None:
+    """Its own state is that of every new session: a second replay was answered by the state that the first one had left."""
+    experiment = load_experiment("dc-motor-ours-memory", ["duration=2", "reference.0.at=0.2", "limits.watchdog_slots=40"])
+    log, channel = tmp_path / "own.mcap", f"again{language}"
+    run_session(experiment, clock="real", link=f"can:hil:{channel}", path=log)
+    loop = compose(experiment)
+    words = generate(tmp_path, loop, language)
+    with runs([*words, channel]) if language == "python" else c_on_hil(words, loop, channel):
+        for _ in range(2):
+            found = ask_process(read_run(log), f"can:hil:{channel}")
+            assert found.different == 0 and found.compared > 20, [str(each) for each in found.differences]
 
 
 def test_without_a_controller_it_says_so(tmp_path: Path) -> None:
