@@ -21,6 +21,7 @@ from design.controllers.contract import (
     Selection,
     StateGains,
     check_row_sojourns,
+    controller_traits,
     row_count,
 )
 from design.controllers.gain_rows import BatchGainRows, GainRows, NodeGainRows, NodeGainRowsOfMany
@@ -96,7 +97,7 @@ class SendAll:
         if len(self.integral_limit) not in (0, p):
             raise FieldError("integral_limit", f"length {len(self.integral_limit)}, expected {p}: one for each output")
         rows = row_count(self.selection, model.d_max, self.row_sojourns)
-        width = p * (self.samples + self.integral) + (len(self.state_gains[0]) if self.state_gains else 0)
+        width = p * (self.samples + self.integral) + controller_traits(self).order
         if K.shape[1:] != (rows, m, width):
             raise FieldError(
                 "gains",

@@ -172,8 +172,6 @@ class Designed:
             return self._as_filed(task, read, read.gains, read.state_gains, read.selection)
         sc, ca = task.chains
         ages: tuple[int, ...] = ()
-        if several and self.samples > 1:
-            raise FieldError("samples", f"{self.samples} in one packet, but no node alone sends so many samples of every output")
         if several and self.sojourns > 1:
             raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")
         if several and self.node_ages == "each":
@@ -292,7 +290,7 @@ class LocalDesigned:
     It is what a networked design is compared with.
 
     Args:
-        method: ``lqr``, ``lqg`` or ``hinf``, see `design.requests.local_design`.
+        method: ``lqr``, ``lqg`` or ``hinf``, see `design.tracking.local_design`.
         input_weight: rho of z = [C x; rho u], output units per input unit.
         noise: standard deviation of a sample per unit of the input disturbance's (``lqg`` and ``hinf``).
     """
@@ -311,7 +309,7 @@ class LocalDesigned:
             FieldError: names the field.
             DesignError: a Riccati equation has no stabilising solution.
         """
-        from design.requests.local_design import local_design
+        from design.tracking.local_design import local_design
 
         return local_design(model.A, model.B, model.C, self.method, input_weight=self.input_weight, noise=self.noise)
 

@@ -20,12 +20,13 @@ from dataclasses import replace
 import numpy as np
 from msgspec import Struct
 
-from design.errors import FieldError, Infeasible, NotStable
+from design.errors import DesignError, FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
 from design.networked_loop.certify import LowerBounds, certify_structure, lower_bounds
 from design.processes.delay_chain import Array
 from design.tracking import COARSER, DEFAULT_STARTS, TrackingProblem, embed, state_gains_of
 from design.tracking.bfgs import Descent, bfgs
+from design.tracking.local_design import lqr_feedback
 from design.tracking.loop_objective import LoopObjective, check_plant, closed_classes, stabilising
 
 __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
@@ -33,6 +34,8 @@ __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
 Progress = Callable[[str, int, int, float], None]
 BARRIER_WEIGHTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 MIXED_SLACK = 1.05
+CHEAP = 0.01
+"""Weight of the input in the state feedback from which stable gains are searched for, output units per input unit."""
 RANDOM_STARTS = 3
 """Of the search for first gains that are stable."""
 ROUGH = 1e-6
@@ -192,7 +195,7 @@ def _stable_starts(problem: TrackingProblem, objective: LoopObjective) -> Iterat
         made[:] = np.eye(problem.order, problem.samples * p + problem.order)
     zero = objective.space.coordinates(none)
     yield zero
-    with suppress(np.linalg.LinAlgError):  # an eigenvalue on the unit circle that z does not see
+    with suppress(DesignError):  # an eigenvalue on the unit circle that z does not see
         yield objective.space.coordinates(none + _state_feedback(problem, objective.space.shape))
     rng = np.random.default_rng((problem.seed, RANDOM_STARTS))
     for _ in range(RANDOM_STARTS):
@@ -207,14 +210,10 @@ def _state_feedback(problem: TrackingProblem, shape: tuple[int, int, int, int]) 
     an integral are 0.
 
     Raises:
-        LinAlgError: the Riccati equation has no solution.
+        DesignError: the Riccati equation has no stabilising solution.
     """
-    from scipy.linalg import solve_discrete_are
-
     A, B, C = (np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C))
-    R, last = 1e-4 * np.eye(B.shape[1]), problem.samples - 1 + problem.order // len(C)
-    X = solve_discrete_are(A, B, C.T @ C, R)
-    feedback = -np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)
+    feedback, last = -lqr_feedback(A, B, C, CHEAP), problem.samples - 1 + problem.order // len(C)
     oldest = np.linalg.pinv(np.concatenate([C @ np.linalg.matrix_power(A, last - i) for i in range(last + 1)]))
     gains = np.zeros(shape)
     rows = state_gains_of(gains, problem.order)[0]

@@ -34,7 +34,7 @@ SHAPING: Final = (
                  help="The same for d, with --information applied: a row for each d and each of so many slots."),
     click.Option(["--integral"], type=Number(), default=0.0,
                  help="Weight of the integrated error in z; > 0 adds integral action."),
-    click.Option(["--order"], type=click.IntRange(0, 16), default=0, show_default=True,
+    click.Option(["--order"], type=click.IntRange(0), default=0, show_default=True,
                  help="States of the controller's own, by which it remembers; 0: static gains."),
     click.Option(["--reference-weight"], type=Number(0.0), default=0.0,
                  help="Size of a step of the reference that counts in z beside an impulse at the input."),

@@ -151,8 +151,6 @@ def _compose(
         if (samples, rig.row_sojourns) != (wanted.samples, its.row_sojourns):
             rig = rig_of(experiment)  # packets have as many samples and rows as the controller takes and gives
         check_references(experiment, controller, model)
-        if samples > 1 and (len(rig.sensors) > 1 or rig.sensors[0].buffer < samples):
-            raise FieldError("samples", f"{samples} in one packet, but no node alone sends so many samples of every output")
         if not 1 <= samples * len(rig.outputs) <= MAX_OUTPUTS:
             raise FieldError("samples", f"{samples} of {len(rig.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:

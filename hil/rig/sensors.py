@@ -117,7 +117,9 @@ def node_faults(e: Experiment) -> list[str]:
     nodes, media, covered = e.network.nodes, e.network.media, e.network.sc.max_age
     if not nodes:
         return [f"network.media.{name}: no node shares it; add [network.nodes.NAME]" for name in media]
-    faults, outputs = [], [s.name for s in e.plant.outputs]
+    faults, outputs, samples = [], [s.name for s in e.plant.outputs], controller_traits(e.controller).samples
+    if samples > 1 and (len(nodes) > 1 or min(node.buffer for node in nodes.values()) < samples):
+        faults.append(f"controller.samples: {samples} in one packet, but no node alone sends so many samples of every output")
     owner: dict[str, str] = {}
     taken: dict[int, str] = {}
     if len(nodes) > MOST_NODES:

@@ -38,7 +38,6 @@ from design.processes.delay_chain import DelayChain
 from design.processes.partitions import equal_probability, uniform
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.requests.local_design import game_feedback, lqr_feedback
 from design.requests.scheduled import RobustScheduled
 from design.semi_markov_loop import JumpSystem, NormBounded
 from design.semi_markov_loop.certificate import JumpCertificate
@@ -46,6 +45,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import Siqc, check_loop
 from design.semi_markov_loop.period_moments import Box, period_moments
 from design.semi_markov_loop.sojourn_grid import refine
 from design.tracking import TrackingProblem
+from design.tracking.local_design import game_feedback, lqr_feedback
 
 ONE = SemiMarkov(rates=((None,),))
 TWO = SemiMarkov(rates=((None, constant_rate(1.0)), (constant_rate(1.0), None)))

@@ -6,17 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from design.controllers import LoopModel, SendAll, SensorNodes, nested
+from design.controllers import LoopModel, SendAll, nested
 from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import Designed, DesignTask, _covering
 
 HALF = [[0.5, 0.5], [0.5, 0.5]]
-PAIR = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(2, 2), delays=(0, 0))
 TWO_OUTPUTS = LoopModel(A=np.eye(2), B=np.ones((2, 1)), C=np.eye(2), period_s=0.1, tau_max=1, d_max=1)
-TWO_NODES = replace(TWO_OUTPUTS, sensors=PAIR)
 TWO, LATE = DelayChain(transition=HALF), DelayChain(transition=HALF, delays=[0, 4])
 
 
@@ -66,8 +63,6 @@ def test_gains_for_a_loop_without_chains_or_with_too_few_rows_are_the_loops_to_r
         ({}, task(ca=None), "kind: a design needs a chain of ages on both links, but a law states none"),
         ({"integral": 0.1}, task(model=TWO_OUTPUTS),
          "integral: 1 inputs cannot make the mean errors of 2 outputs zero"),
-        ({"samples": 2}, task(model=TWO_NODES),
-         "samples: 2 in one packet, but no node alone sends"),
     ],
 )  # fmt: skip
 def test_what_no_design_fits_is_refused_by_its_field(asked: dict[str, Any], loop: DesignTask, said: str) -> None:

@@ -162,3 +162,11 @@ def test_a_fault_of_a_bus_or_a_clock_is_refused_with_its_place(sets: list[str], 
     with pytest.raises(HilError) as caught:
         compose(load_experiment("multisensor-ours", sets))
     assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("node", ["", "network.nodes={angle={outputs=['angle'], buffer=1}}"])
+def test_samples_that_no_node_sends_are_refused_before_gains_are_solved(node: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.compose.stored_gains.solve", lambda *_: pytest.fail("gains are solved"))
+    name = "dc-motor-ours-memory" if node else "dc-motor-two-nodes"
+    with pytest.raises(HilError, match=r": controller\.samples: 2 in one packet, but no node alone sends so many samples"):
+        compose(load_experiment(name, ["controller={kind='designed', samples=2}", *filter(None, [node])]))

@@ -13,8 +13,8 @@ from design.jump_linear.certificate import certify_system
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
-from design.requests.local_design import _filter, game_feedback, local_design, lqr_feedback
 from design.requests.tracking import DesignTask, LocalDesigned
+from design.tracking.local_design import _filter, game_feedback, local_design, lqr_feedback
 from tests.design.chapter7 import LAMBDA, MOTOR, PI
 
 A, B, C = (np.asarray(M, dtype=float) for M in MOTOR)
