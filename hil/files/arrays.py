@@ -171,11 +171,13 @@ class Columns(NamedTuple):
         header: names of all columns, without their units.
         values: the columns that were picked, (rows, columns), NaN where an entry is missing.
         lines: of every row the line of the file, counted from 1.
+        units: of the columns that were picked, what stands in brackets behind their names.
     """
 
     header: list[str]
     values: NDArray[np.float64]
     lines: NDArray[np.int64]
+    units: list[str]
 
 
 def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[str]]) -> Columns:
@@ -202,7 +204,8 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
             first = text.readline(1 << 20)
             separator = ";" if ";" in first and "," not in first else ","
             rows = csv.reader(chain([first], text), delimiter=separator, strict=True)
-            header = [name.split("[")[0].strip() for name in next(rows, [])]
+            heads = [name.partition("[") for name in next(rows, [])]
+            header = [name.strip() for name, _, _ in heads]
             wanted = picked(header)
             if twice := next((name for name in wanted if header.count(name) > 1), ""):
                 raise HilError(f"{path}: two columns are called {twice!r}, expected one")
@@ -229,4 +232,5 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
                         numbers.append(math.nan if entry.strip().lower() in MISSING else float(entry))
                     except ValueError:
                         raise HilError(f"{path}:{rows.line_num}: {row[i]!r:.40} is no number") from None
-    return Columns(header, np.frombuffer(numbers).reshape(len(lines), len(at)), np.frombuffer(lines, np.int64))
+    units = [heads[i][2].partition("]")[0].strip() for i in at]
+    return Columns(header, np.frombuffer(numbers).reshape(len(lines), len(at)), np.frombuffer(lines, np.int64), units)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def read_axis_record(path: Path, kind: str | None, names: tuple[str | None, str 
         if kind is None:
             raise HilError(f"{path}: a table does not name its plant; add --plant {' or '.join(AXES)}")
         wanted = _names(kind, names)
-        period_s, columns = read_signal_table(path, wanted)
+        period_s, columns = read_signal_table(path, wanted, (AXES[kind].unit, "rad"))
         if not math.isfinite(columns[-1, 0]):
             columns = columns[:-1]  # the last measurement has no input behind it
         return AxisRecord(path=str(path), period_s=period_s, u=columns[:, 0], y=columns[:, 1], plant={})
@@ -125,7 +126,9 @@ JITTER = 0.01
 """Largest deviation of an instant from a whole number of periods, in periods."""
 
 
-def read_signal_table(path: str | Path, names: Sequence[str]) -> tuple[float, npt.NDArray[np.float64]]:
+def read_signal_table(
+    path: str | Path, names: Sequence[str], units: Sequence[str] = ()
+) -> tuple[float, npt.NDArray[np.float64]]:  # fmt: skip
     """Return the sample period in s and columns (n, len(names)) over consecutive slots, NaN where nothing was recorded.
 
     The first line names the columns, with units in brackets or without; the time stands in `t_s`, `t_ns`, `time` or `t`.
@@ -133,10 +136,11 @@ def read_signal_table(path: str | Path, names: Sequence[str]) -> tuple[float, np
     Args:
         path: the file.
         names: columns to be read.
+        units: what they are in; by default anything.
 
     Raises:
-        HilError: it cannot be read, a column is missing, an entry is no number, or the instants are no multiples of a period;
-            the message has the line.
+        HilError: it cannot be read, a column is missing or in another unit, an entry is no number, or the instants are no
+            multiples of a period; the message has the line.
     """
     clock = ""
 
@@ -150,10 +154,17 @@ def read_signal_table(path: str | Path, names: Sequence[str]) -> tuple[float, np
                 raise HilError(f"{path}: no column {name!r}; it has {', '.join(header)[:200]}")
         return [clock, *names]
 
-    table = read_columns(Path(path), "a table of signals", picked).values
+    _, table, _, said = read_columns(Path(path), "a table of signals", picked)
+    for name, unit, wanted in zip((clock, *names), said, ("ns" if clock == "t_ns" else "s", *units)):
+        if unit and _plain(unit) != _plain(wanted):
+            raise HilError(f"{path}: {name} is in {unit!r:.40}, expected {wanted}")
     if len(table) < 2:
         raise HilError(f"{path}: {len(table)} rows, expected at least 2")
     return _slotted(path, table[:, 0] * TIME_COLUMNS[clock], table[:, 1:])
+
+
+def _plain(unit: str) -> str:
+    return re.sub(r"[ ·*.]", "", unit)
 
 
 def _slotted(
@@ -164,15 +175,18 @@ def _slotted(
     if wrong.any():
         raise HilError(f"{path}: row {wrong.argmax() + 2}: the time does not grow, or is infinite")
     period_s = float(np.median(steps))
-    slots = np.rint((t - t[0]) / period_s)
+    slots = np.concatenate(([0.0], np.cumsum(np.rint(steps / period_s))))  # from t[0] on the median's error would add up
     if slots[-1] > 4 * len(t):
         raise HilError(f"{path}: {len(t)} rows over {slots[-1]:.0f} periods of {period_s:g} s; expected no such gaps")
-    if slots[-1] > 0.0:  # the median of rounded instants drifts over a long table
+    if slots[-1] > 0.0:
         period_s = float((t[-1] - t[0]) / slots[-1])
     off = np.abs((t - t[0]) / period_s - slots)
     if off.max() > JITTER or (np.diff(slots) < 1).any():
         at = int(off.argmax())
-        raise HilError(f"{path}: row {at + 1}: {t[at]:.9g} s is {off[at]:.3g} periods off a multiple of {period_s:g} s")
+        raise HilError(
+            f"{path}: row {at + 1}: {t[at]:.9g} s is {off[at]:.3g} periods off a multiple of {period_s:g} s, expected up to "
+            f"{JITTER:g}; where a timer paces the device and its clock was read late, write k times its period"
+        )
     out = np.full((int(slots[-1]) + 1, values.shape[1]), math.nan)
     out[slots.astype(np.int64)] = values
     return period_s, out

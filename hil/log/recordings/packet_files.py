@@ -144,7 +144,7 @@ def read_latencies(path: Path, *, one_clock: bool) -> Recording:
         HilError: names the file, the line and what was expected.
     """
     known = (*VALUES, "sent_s", "received_s")
-    header, table, lines = read_columns(path, "a table of packets", lambda header: [name for name in header if name in known])
+    header, table, lines, _ = read_columns(path, "a table of packets", lambda header: [name for name in header if name in known])
     columns = {name: table[:, i] for i, name in enumerate(name for name in header if name in known)}
     if len(late := np.argwhere(np.abs(table) >= LATEST_S)):
         raise HilError(f"{path}:{lines[late[0, 0]]}: {table[tuple(late[0])]:.9g}, expected a number below {LATEST_S:g}")

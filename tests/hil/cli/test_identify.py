@@ -80,7 +80,7 @@ def write_table(path: Path, log: Path, clock: str = "t_s", skip: int | None = No
     y, u = run.arrays["/plant/measurement"], run.arrays["/actuator/applied"]
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow([f"{clock} [s]", "angle [rad]", "torque [N m]"])
+        writer.writerow([f"{clock} [{'ns' if clock == 't_ns' else 's'}]", "angle [rad]", "torque [N·m]"])
         for k in range(len(u)):
             if k != skip:
                 t = int(y["t_ns"][k])
@@ -105,6 +105,7 @@ def test_faults_are_reported_with_status_2(cli: Hil, omni_log: Path, tmp_path: P
     (tmp_path / "word.csv").write_text("\n".join([*lines[:9], "1,two,3"]))
     (tmp_path / "ragged.csv").write_text("\n".join([*lines[:9], "1,2"]))
     (tmp_path / "jitter.csv").write_text("\n".join([*lines[:9], lines[9].replace(lines[9].split(",")[0], "0.42"), *lines[10:]]))
+    (tmp_path / "degrees.csv").write_text("\n".join([lines[0].replace("[rad]", "[deg]"), *lines[1:]]))
     (tmp_path / "zero.csv").write_text("\n".join([lines[0], *(f"{k},0,0" for k in range(50))]))
     (tmp_path / "clock.csv").write_text("x,angle,torque\n1,2,3\n")
     (tmp_path / "binary.csv").write_bytes(b"t,angle\n\xff\xfe")
@@ -119,6 +120,7 @@ def test_faults_are_reported_with_status_2(cli: Hil, omni_log: Path, tmp_path: P
         (["word.csv", *omni], "word.csv:10"),
         (["ragged.csv", *omni], "2 entries"),
         (["jitter.csv", *omni], "off a multiple"),
+        (["degrees.csv", *omni], "degrees.csv: angle is in 'deg', expected rad"),
         (["zero.csv", *omni], "does not move"),
         (["clock.csv", *omni], "no column of times"),
         (["binary.csv", *omni], "is no CSV"),

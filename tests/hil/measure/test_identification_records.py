@@ -101,6 +101,31 @@ def test_a_table_may_begin_at_any_time(tmp_path: Path, clock: str, begin: float)
         read_signal_table(tmp_path / "off.csv", ("y",))
 
 
+def test_a_clock_that_is_read_late_is_refused_with_the_true_period_and_a_remedy(tmp_path: Path) -> None:
+    """The median of such steps is 1 % too long, which after 100 rows is a whole period."""
+    rng = np.random.default_rng(1)
+    steps = np.where(np.arange(400) % 4 < 3, 1.01e-3, 0.97e-3)  # their mean is 1 ms
+    times = np.concatenate(([0.0], np.cumsum(steps))) + rng.uniform(0.0, 4e-5, 401)
+    (tmp_path / "t.csv").write_text("t,y\n" + "".join(f"{t:.9f},1\n" for t in times))
+    with pytest.raises(HilError, match=r"is 0\.\d+ periods off a multiple of 0\.00100\d+ s, expected up to 0\.01; where"):
+        read_signal_table(tmp_path / "t.csv", ("y",))
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        ("time [ms],u [V],y", "time is in 'ms', expected s"),
+        ("t_ns [s],u [V],y", "t_ns is in 's', expected ns"),
+        ("t,u [mV],y [rad]", "u is in 'mV', expected V"),
+        ("t,u [V],y [deg]", "y is in 'deg', expected rad"),
+    ],
+)
+def test_a_column_in_another_unit_is_refused(tmp_path: Path, head: str, said: str) -> None:
+    (tmp_path / "t.csv").write_text(f"{head}\n0,1,2\n1,1,2\n")
+    with pytest.raises(HilError, match=rf"t\.csv: {said}"):
+        read_signal_table(tmp_path / "t.csv", ("u", "y"), ("V", "rad"))
+
+
 @pytest.mark.parametrize(
     ("times", "said"),
     [
