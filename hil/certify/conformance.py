@@ -35,6 +35,7 @@ from hil.certify.motion_test import (
     drive,
     foretold,
     free_motion,
+    later_answer,
     random_inputs,
 )
 from hil.certify.stated_controller import answers_of
@@ -130,6 +131,11 @@ def plant_check(loop: CertificationProblem) -> Check:
             if all(each.share <= EQUAL for each in found):
                 raise
     said = _departed(found, _input_unit(plant), unit, name)
+    if said is not None and said[0] == "refused":
+        later = later_answer(plant, period_ns, free, shape * unit * sizes[0])
+        if later > ALIKE:
+            told = f"{_percent(later)} that small inputs cause depends on when they begin, as the plant moves off from its start"
+            return "undecided", f"non-linear: {told}, where it is not its model(): {said[1].partition(': ')[2]}"
     if said is not None:
         return said
     signals = tuple([(str(s[0]), str(s[1])) for s in each] for each in (plant.states, plant.outputs))

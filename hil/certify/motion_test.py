@@ -190,6 +190,30 @@ def departure(
     return worst
 
 
+def later_answer(plant: Plant, period_ns: int, free: Track, inputs: Array) -> float:
+    """Return how much the motion that inputs cause differs where they begin later, as a share of it: 0 for a linear plant.
+
+    One that is not linear and does not rest at its start meets them at another place.
+
+    Args:
+        plant: what runs.
+        period_ns: length of a slot, ns.
+        free: the same plant without inputs.
+        inputs: (k, m), small ones.
+    """
+    count = min(SHORT, (len(free.outputs) - 1) // 2)
+    causes = []
+    for first in (0, count):
+        rest = np.zeros((first, inputs.shape[1]))
+        outputs = drive(plant, period_ns, np.vstack([rest, inputs[:count]]), raised=[]).outputs[first:]
+        causes.append((outputs - free.outputs[first : first + len(outputs)], np.abs(outputs).max()))
+    (soon, size), (late, later) = causes
+    if len(late) != len(soon):  # it broke, or grew beyond what floats resolve
+        return 0.0
+    apart = np.abs(late - soon) - CANCELS * max(size, later)
+    return float((apart / so_far(soon)).max())
+
+
 def by_size(shares: Sequence[float], alike: str, difference: str) -> tuple[State, str] | None:
     """Return that a part is no linear one where it is what it says under small or large signals alone; None for another one.
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -23,7 +24,7 @@ from hil.certify.conformance import plant_check, without_loop
 from hil.certify.stated_controller import wall_excitation
 from hil.compose import compose
 from hil.errors import ExperimentError
-from plants import LinearPlant, Signal, SwitchedExample
+from plants import LinearPlant, Signal, StateSpace, SwitchedExample
 from plants.switched_example import SwitchedExampleRun
 from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Rowed, Run, Table
 
@@ -59,6 +60,57 @@ def test_a_load_or_noise_of_an_own_plant_is_no_departure_and_is_named(lie: str) 
     assert found is not None and found.certified, found
     assert any("the plant moves as its model says: compared over" in said for said in found.assumptions)
     assert any(lie.split()[0] in said for said in found.assumptions) or lie == "none"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Upright:
+    """angle'' = 20 sin(angle) + gain torque, a pendulum that begins beside its upper point of rest; its model has gain 4."""
+
+    start_rad: float = 0.0
+    gain: float = 4.0
+    inputs: ClassVar = (Signal("torque", "N m"),)
+    outputs: ClassVar = (Signal("angle", "rad"),)
+    states: ClassVar = (Signal("angle", "rad"), Signal("speed", "rad/s"))
+
+    def model(self) -> StateSpace:
+        return StateSpace(A=[[0.0, 1.0], [20.0, 0.0]], B=[[0.0], [4.0]], C=[[1.0, 0.0]])
+
+    def start(self, rng: np.random.Generator) -> Falls:
+        return Falls(self)
+
+
+class Falls:
+    def __init__(self, plant: Upright) -> None:
+        self.plant, self.state, self.applied = plant, (plant.start_rad, 0.0), (0.0,)
+
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        self.applied = (u[0],)
+        (angle, speed), h, torque = self.state, dt_ns * 1e-9 / 50, u[0] + sum(w)
+        for _ in range(50):  # of second order, and exact to 1e-9 in such short steps
+            middle = speed + h / 2 * (20.0 * math.sin(angle) + self.plant.gain * torque)
+            speed += h * (20.0 * math.sin(angle + h / 2 * speed) + self.plant.gain * torque)
+            angle += h * middle
+        self.state = (angle, speed)
+
+    def measure(self) -> tuple[float, ...]:
+        return self.state[:1]
+
+
+@pytest.mark.parametrize(
+    ("plant", "state", "said"),
+    [
+        (Upright(start_rad=0.3), "undecided", "non-linear: .* of the motion that small inputs cause depends on when they begin"),
+        (Upright(gain=-4.0), "refused", "your plant does not move as its model"),
+        (Upright(), "undecided", ""),
+    ],
+    ids=["beside its point of rest", "another gain", "at rest"],
+)
+def test_a_plant_that_begins_where_its_model_is_not_made_is_no_liar(plant: Upright, state: str, said: str) -> None:
+    """What it does under small inputs is that of another point, and the model's of its own: neither refutes the other."""
+    model = plant.model().discretise(0.01)
+    A, B, C = (np.asarray(matrix) for matrix in (model.A, model.B, model.C))
+    found = plant_check(without_loop(plant, LoopModel(A=A, B=B, C=C, period_s=0.01, tau_max=0, d_max=0)))
+    assert found[0] == state and re.match(said, str(found[1])), found
 
 
 @pytest.mark.parametrize(("units", "said"), [(("V", "V"), "1e+06 V"), (("1/s", "1/s"), "1e+06 1/s"), (("kW", "kg/s"), "1e+06")])
