@@ -128,6 +128,15 @@ def test_the_plant_of_the_guide_that_is_not_linear_is_undecided_and_runs(tmp_pat
     assert session.status == 0 and session.summary["certificate"]["state"] == "undecided"
 
 
+def test_the_controller_of_the_guide_that_predicts_settles_sooner_than_the_published_one(shown: dict[str, Any]) -> None:
+    own = face.run("dc-motor-hinf", controller=shown["Horizon"](), allow_uncertified=True, duration=10)
+    published = face.run("dc-motor-hinf", duration=10)
+    assert own.status == 0 and own.summary["certificate"]["state"] == "undecided"
+    said = re.search(r"it settles in (\S+) s \(seed 0\), where the published gains take (\S+) s", TEXT[PLUGINS])
+    assert said is not None and own.metrics["settling_time_s"] == pytest.approx(float(said[1]))
+    assert published.metrics["settling_time_s"] == pytest.approx(float(said[2]))
+
+
 def test_the_controller_of_the_guide_is_certified_by_its_table_and_undecided_without(tmp_path: Path) -> None:
     (code,) = (block for block in blocks(TEXT["first-plugin"], "python") if "class Pd" in block)
     begin, end = code.index("    def table("), code.index("    def start(")
