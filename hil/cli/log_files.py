@@ -74,12 +74,12 @@ def recover(file: Path, output: Path | None) -> None:
 @click.command()
 @click.argument("file", type=PATH)
 @click.option(
-    "-o", "--output", type=PATH, required=True, help="Ends in .log, .blf, .asc, .trc, .mf4, .csv or .npz."
+    "-o", "--output", type=PATH, required=True, help="Ends in .log, .blf, .asc, .trc, .mf4, .csv, .npz or .mat."
 )
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may be given more than once.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> None:
-    """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc, ASAM .mf4) or as tables (.csv, .npz).
+    """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc, ASAM .mf4) or as tables (.csv, .npz, .mat).
 
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
     OUTPUT.topic.csv. A run with an emulated CAN bus gives the frames of that bus: the log has their times and lengths, their

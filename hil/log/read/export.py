@@ -20,6 +20,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -66,8 +67,8 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
 
     Args:
         run: what to write.
-        target: ``.log``, ``.blf``, ``.asc``, ``.trc``, ``.mf4``, ``.csv`` or ``.npz``. Tables of more than one topic make files
-            ``name.topic.csv``.
+        target: ``.log``, ``.blf``, ``.asc``, ``.trc``, ``.mf4``, ``.csv``, ``.npz`` or ``.mat``. Tables of more than one topic
+            make files ``name.topic.csv``.
         topics: only these; all by default. CAN logs hold ``/link/bus`` where there is one, else ``/link/sensor`` and
             ``/link/control``.
         replace: replace files that are there, each when it is whole. Otherwise none is touched where one is in the way.
@@ -80,7 +81,7 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
             ``replace``) or cannot be written.
     """
     target = Path(target)
-    writers = dict.fromkeys((".log", ".blf", ".asc", ".trc", ".mf4"), _can_log) | {".csv": _tables, ".npz": _npz}
+    writers = dict.fromkeys((".log", ".blf", ".asc", ".trc", ".mf4"), _can_log) | {".csv": _tables, ".npz": _npz, ".mat": _mat}
     writer = writers.get(target.suffix)
     if writer is None:
         said = PARQUET if target.suffix == ".parquet" else ""
@@ -143,7 +144,7 @@ def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) 
             fields = [field for field in numbers.dtype.names or () if not run.schemas[topic].raw or field != "data"]
             dtype = np.dtype([(field, numbers.dtype[field]) for field in fields])  # packed: a file cannot say a gap
             if run.schemas[topic].raw:
-                lengths = np.concatenate([np.empty(0, np.uint32), *(_lengths(piece) for piece in run.pieces(topic, ROWS))])
+                lengths = _lengths(run, topic)
                 most = int(lengths.max(initial=0))
                 padded = (_padded(piece, most) for piece in run.pieces(topic, ROWS))
                 _add_array(file, f"{name}_data", np.dtype(np.uint8), (len(lengths), most), padded)
@@ -152,8 +153,26 @@ def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) 
             _add_array(file, name, dtype, numbers.shape, packed)
 
 
-def _lengths(piece: StructuredArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
-    return np.array([len(item) for item in piece["data"]], np.uint32)
+def _mat(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
+    from scipy.io import savemat  # MATLAB, and Octave
+
+    structs = {}
+    for topic in topics:
+        numbers, raw = run.numbers(topic), run.schemas[topic].raw
+        names = [name for name in numbers.dtype.names or () if not raw or name != "data"]
+        structs[_plain_name(topic)] = {re.sub(r"\W", "_", name, flags=re.ASCII): numbers[name] for name in names}
+        if raw:
+            lengths = _lengths(run, topic)
+            most = int(lengths.max(initial=0))
+            data = np.concatenate([np.empty(0, np.uint8), *(_padded(piece, most) for piece in run.pieces(topic, ROWS))])
+            structs[_plain_name(topic)] |= {"data": data.reshape(len(lengths), most), "length": lengths}
+    with written_whole(paths[0], replace=replace) as part:
+        savemat(part, structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _lengths(run: Run, topic: str) -> np.ndarray[Any, np.dtype[np.uint32]]:
+    found = [np.array([len(item) for item in piece["data"]], np.uint32) for piece in run.pieces(topic, ROWS)]
+    return np.concatenate([np.empty(0, np.uint32), *found])
 
 
 def _padded(piece: StructuredArray, most: int) -> np.ndarray[Any, np.dtype[np.uint8]]:

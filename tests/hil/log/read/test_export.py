@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from msgspec.structs import replace
+from scipy.io import loadmat
 
 from hil.cli.log_files import export as command
 from hil.compose import compose
@@ -90,6 +91,18 @@ def test_numpy_reads_the_arrays_back(run: Run, tmp_path: Path) -> None:
             for name in read.dtype.names or ():
                 np.testing.assert_array_equal(read[name], array[name])
     assert frames == run.arrays["/link/control"]["data"].tolist()
+
+
+def test_matlab_reads_a_struct_of_columns_a_topic(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "run.mat")
+    found = loadmat(tmp_path / "run.mat", simplify_cells=False)
+    for topic, array in run.arrays.items():
+        struct = found[topic.strip("/").replace("/", "_")][0, 0]
+        for name in set(array.dtype.names or ()) - {"data"}:
+            np.testing.assert_array_equal(struct[name][:, 0], array[name])
+    frames = found["link_control"][0, 0]
+    read = [row[:length].tobytes() for row, length in zip(frames["data"], frames["length"][:, 0], strict=True)]
+    assert read == run.arrays["/link/control"]["data"].tolist()
 
 
 def test_of_no_frame_numpy_reads_no_byte(run: Run, tmp_path: Path) -> None:
@@ -238,7 +251,7 @@ def test_a_can_log_holds_one_bus_and_peaks_format_no_destroyed_frame(bus_run: Ru
 
 
 def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
-    endings = r"\.log, \.blf, \.asc, \.trc, \.mf4, \.csv, \.npz"
+    endings = r"\.log, \.blf, \.asc, \.trc, \.mf4, \.csv, \.npz, \.mat"
     with pytest.raises(HilError, match=rf"the ending '\.xls' names no format, expected {endings}"):
         export(run, tmp_path / "run.xls")
     with pytest.raises(HilError, match=rf"expected {endings}; pandas writes a topic as Parquet: pandas\.DataFrame"):
@@ -248,7 +261,7 @@ def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", ["run.csv", "run.npz"])
+@pytest.mark.parametrize("name", ["run.csv", "run.npz", "run.mat"])
 def test_two_topics_of_one_name_do_not_replace_each_other(run: Run, tmp_path: Path, name: str) -> None:
     """A log that was made elsewhere may have such topics."""
     arrays, schemas = ({**both, "/plant_state": both["/plant/state"]} for both in (run.arrays, run.schemas))
@@ -259,7 +272,7 @@ def test_two_topics_of_one_name_do_not_replace_each_other(run: Run, tmp_path: Pa
     export(twins, tmp_path / name, ["/plant_state"])
 
 
-@pytest.mark.parametrize("name", ["run.csv", "run.npz", "run.log", "run.blf"])
+@pytest.mark.parametrize("name", ["run.csv", "run.npz", "run.mat", "run.log", "run.blf"])
 def test_a_place_that_cannot_be_written_is_named(run: Run, tmp_path: Path, name: str) -> None:
     target = tmp_path / "absent" / name
     with pytest.raises(HilError, match=r"absent.*: cannot be written: No such file"):
