@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from itertools import count
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
 
@@ -17,6 +18,31 @@ from transport.wire import CONTROL, SELECTIONS, SENSOR, control_length, sensor_l
 LONGEST_NAME: Final = 32
 """Characters of a name that other tools take."""
 _SINGLE: Final = "3.4E+38"  # the largest float32; no other signal reaches so far
+_WORDS: Final = r'"(?:\\"|[^"])*+"?|//[^\n]*'
+"""Texts and comments of a DBC; in a text a colon may stand before any number."""
+_TOO_LONG: Final = r":\s*[-+]?\d{6,}|\|\s*[-+]?\d{6,}\s*@"
+"""Length of a message, start or length of a signal; cantools keeps every bit of a message in a list."""
+
+
+def read_dbc(text: str) -> Any:
+    """Return the `cantools` database of a DBC.
+
+    Args:
+        text: of any origin.
+
+    Raises:
+        ValueError: it is no DBC.
+    """
+    import cantools
+
+    code = re.sub(_WORDS, lambda found: " " if found[0].startswith("//") or found[0].endswith('"') else found[0], text)
+    beyond = re.search(_TOO_LONG, code)
+    if beyond is not None:
+        raise ValueError(f"is no DBC: {beyond[0][:80]!r}: no message has so many bits")
+    try:
+        return cantools.database.load_string(text, "dbc", strict=False)
+    except Exception as error:  # of any kind, from whatever stands in the file
+        raise ValueError(f"is no DBC: {str(error).partition(chr(10))[0]:.200}") from error
 
 
 class _Signal(NamedTuple):

@@ -17,10 +17,10 @@ from hil.cli.terminal import Line, answer, console, json_option, print_folded, p
 from hil.errors import HilError, nearest
 
 ORDER = (
-    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "authentication", "real-time",
-    "live", "vcan", "ci", "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls",
-    "several-sensors", "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary", "architecture",
-    "decisions",
+    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "own-messages", "wire-format", "authentication",
+    "real-time", "live", "vcan", "ci", "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates",
+    "haptic-walls", "several-sensors", "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary",
+    "architecture", "decisions",
 )  # fmt: skip
 """Topics in reading order; a page that is not named here comes last."""
 COPYLEFT = re.compile(r"\bL?GPL|\bAGPL|Lesser General Public|\bMPL|Mozilla Public|\bEPL|Eclipse Public", re.IGNORECASE)

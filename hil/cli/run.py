@@ -149,7 +149,7 @@ def run(
         raise HilError("--wait: only with --external; it is how long the rig waits for your program")
     if wait is not None and not 0.0 < wait <= LONGEST_WAIT_S:
         raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s")
-    on = link_of(rig_of(checked), link) if clock == "real" else None
+    on = link_of(rig_of(checked), link, external=external) if clock == "real" else None
     uri = None if on is None else on.uri
     waits = ""
     if external:

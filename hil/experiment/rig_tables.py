@@ -198,6 +198,27 @@ class Login(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     users: str
 
 
+class OwnMessages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The CAN messages of a controller that keeps its own: signals of a database as ``MESSAGE.SIGNAL``, or with a factor
+    ``MESSAGE.SIGNAL*57.3``, by which the signal is larger than the rig's value.
+
+    Args:
+        dbc: the database, from where the experiment stands.
+        outputs: by the name of an output the signal that is sent; one without a signal is not sent.
+        references: by the name of an output the signal of its reference.
+        inputs: by the name of each input the signal that commands it.
+        counters: signals that count the frames of their message.
+        valid: how long a command stands; without it each answers one sample, and is late where it comes too late.
+    """
+
+    dbc: str
+    outputs: dict[str, str]
+    references: dict[str, str] = {}
+    inputs: dict[str, str]
+    counters: tuple[str, ...] = ()
+    valid: Seconds | None = None
+
+
 def secured_uri(uri: str, folder: str, auth: Auth | None, tls: Tls | None, login: Login | None) -> str:
     """Return a link's URI with the options that the tables stand for; what the URI says itself is kept.
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import msgspec
 
 from hil.experiment.nodes import Medium, Node, identifier_faults
-from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
+from hil.experiment.rig_tables import Auth, Fault, Limits, Login, OwnMessages, Tls, secured_uri
 from hil.experiment.table import (
     ControllerTable,
     LawTable,
@@ -24,7 +24,7 @@ from hil.experiment.table import (
 from hil.plugins import registry, written_in
 from transport.laws import BoundedAge
 from transport.links import TransportError
-from transport.links.traits import KeyTable, traits_of
+from transport.links.traits import LinkTable, traits_of
 
 DEFAULT_LINK: typing.Final = "can:hil:rig0"
 """The real link of an experiment that names none: a CAN bus without a kernel's, for the processes of one user."""
@@ -140,6 +140,7 @@ class Links(Table, frozen=True, kw_only=True):
         auth: a message authentication code in every packet.
         tls: certificates, for a link over zenoh.
         login: a password for the controller, for a link over zenoh.
+        messages: CAN messages that an external controller has of its own.
         control_can_id: CAN identifier of the control packets' first frame, 11 bits; by default 0x40 above the link's base.
     """
 
@@ -147,6 +148,7 @@ class Links(Table, frozen=True, kw_only=True):
     auth: Auth | None = None
     tls: Tls | None = None
     login: Login | None = None
+    messages: OwnMessages | None = None
     control_can_id: int | None = None
 
     def secured(self, folder: str, uri: str | None = None) -> str:
@@ -167,9 +169,10 @@ class Links(Table, frozen=True, kw_only=True):
         except TransportError as error:
             yield f"uri: {error}"
             return
-        for table in get_args(KeyTable):
+        for table in get_args(LinkTable):
             if values.get(table) is not None and table not in takes:
-                yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"
+                kind = "CAN" if table == "messages" else "zenoh"
+                yield f"{table}: the link {uri!r:.60} does not take it; only a {kind} link does"
 
 
 Affinity = Literal["auto", "free", "pinned", "shared"]

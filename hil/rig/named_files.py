@@ -21,6 +21,7 @@ from hil.experiment.tables import Experiment
 from hil.files import open_regular
 from hil.files.can_logs import CAN_LOG_ENDINGS, can_frames
 from transport.can_bus_model import CanFrame
+from transport.dbc import read_dbc
 from transport.errors import FieldError
 from transport.laws import NetworkLaw, load_files, slots_served
 from transport.wire import frame_length
@@ -99,10 +100,6 @@ _CELLS: Final[dict[str, tuple[Callable[[str], Any], str]]] = {
     **dict.fromkeys(("extended", "fd"), (lambda cell: _FLAGS[cell.lower()], "yes or no")),
 }
 """What a cell of a column is read by, and what it holds; any other is text."""
-_WORDS: Final = r'"(?:\\"|[^"])*+"?|//[^\n]*'
-"""Texts and comments of a DBC; in a text a colon may stand before any number."""
-_TOO_LONG: Final = r":\s*[-+]?\d{6,}|\|\s*[-+]?\d{6,}\s*@"
-"""Length of a message, start or length of a signal; cantools keeps every bit of a message in a list."""
 
 
 def read_traffic(path: Path) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
@@ -171,16 +168,8 @@ def _sound(values: dict[str, Any]) -> TrafficTable:
 
 
 def _of_dbc(path: Path, text: str) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
-    import cantools
-
-    code = re.sub(_WORDS, lambda found: " " if found[0].startswith("//") or found[0].endswith('"') else found[0], text)
-    beyond = re.search(_TOO_LONG, code)
-    if beyond is not None:
-        raise HilError(f"{path}: is no DBC: {beyond[0][:80]!r}: no message has so many bits")
-    try:
-        database: Any = cantools.database.load_string(text, "dbc", strict=False)
-    except Exception as error:  # of any kind, from whatever stands in the file
-        raise HilError(f"{path}: is no DBC: {str(error).partition(chr(10))[0]:.200}") from error
+    with located(path, ValueError):
+        database = read_dbc(text)
     found = []
     for message in database.messages:
         if message.cycle_time:

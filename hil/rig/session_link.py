@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 from warnings import catch_warnings
 
 from msgspec import Struct
 
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
-from hil.experiment.rig_tables import BIT_ERRORS
+from hil.experiment.rig_tables import BIT_ERRORS, OwnMessages
 from hil.plugins.user_plugins import user_failure
 from hil.rig import RigSpec
 from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_rows, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
+from transport.errors import FieldError
 from transport.links import Link, Role, TransportError
 from transport.links.can_identifiers import Identifiers, identifiers_text
 from transport.links.traits import CanFraming, LinkTraits, identifiers_on, scheme_of, traits_of, with_options
@@ -64,19 +67,23 @@ class SessionLink(Struct, frozen=True, kw_only=True):
         return {"/link/sensor": described, "/link/control": {"can_id.control": identifiers_text(own.control)}}
 
 
-def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:
+def link_of(rig: RigSpec, uri: str | None = None, *, external: bool = False) -> SessionLink:
     """Return a link with the keys and identifiers that a rig names; what its URI says itself is kept.
 
     Args:
         rig: the rig.
         uri: another link than its own.
+        external: whether its other end is a controller of the user's own, with messages of its own where the rig names them.
 
     Raises:
-        ExperimentError: two nodes with one CAN identifier, or one of more than 11 bits.
+        ExperimentError: two nodes with one CAN identifier, or one of more than 11 bits; messages of values that the rig has not.
         TransportError: no link has this URI.
     """
     uri = rig.links.secured(rig.folder, uri)
     traits = traits_of(uri)
+    if external and rig.links.messages is not None and "messages" in traits.takes:
+        uri = with_options(uri, _message_options(rig, rig.links.messages))
+        traits = traits_of(uri)
     framing = traits.can
     if framing is None:
         return SessionLink(uri=uri, traits=traits, identifiers=_by_default(rig))
@@ -90,6 +97,45 @@ def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:
             more = {"ids": ",".join(map(identifiers_text, own.values())), "control": control}
         uri = with_options(uri, more)
     return SessionLink(uri=uri, traits=traits, identifiers=identifiers_on(uri))
+
+
+def _message_options(rig: RigSpec, own: OwnMessages) -> dict[str, str]:
+    """Return the options of a link's URI that stand for messages of a controller's own.
+
+    Raises:
+        ExperimentError: they name values that the rig has not, no signal of an input, or signals that the database has not.
+    """
+    from transport.links.message_table import read_table  # of the few links that have them; it reads a DBC
+
+    outputs, inputs = ({signal.name: signal.unit for signal in signals} for signals in (rig.outputs, rig.inputs))
+    faults = [
+        f"{table}.{name}: the plant has no such {'input' if has is inputs else 'output'} (there are: {', '.join(has)})"
+        for table, has in (("outputs", outputs), ("references", outputs), ("inputs", inputs))
+        for name in getattr(own, table) if name not in has
+    ]  # fmt: skip
+    faults += [f"inputs: no signal commands {name!r}" for name in inputs if name not in own.inputs]
+
+    def named(signals: dict[str, str], units: dict[str, str], names: Iterable[str]) -> str:
+        texts = [(name, signals.get(name, "")) for name in names]
+        return ",".join(text if "*" in text or not text else f"{text}:{units[name]}" for name, text in texts)
+
+    nodes = [[[*outputs][i] for i in sensor.outputs] for sensor in rig.sensors]
+    found = {
+        "dbc": str(Path(rig.folder) / own.dbc),
+        "outputs": ";".join(named(own.outputs, outputs, names) for names in nodes),
+        "references": named(own.references, outputs, outputs) if own.references else "",
+        "inputs": named(own.inputs, inputs, inputs),
+        "counters": ",".join(own.counters),
+        "valid": "" if own.valid is None else repr(float(own.valid)),
+    }
+    try:
+        if not faults:
+            read_table(found)
+    except FieldError as error:
+        faults.append(str(error))
+    if faults:
+        raise ExperimentError(rig.name, [f"links.messages.{fault}" for fault in faults])
+    return {option: quote(text, safe="*:;,/") for option, text in found.items() if text}
 
 
 def no_link(rig: RigSpec) -> SessionLink:

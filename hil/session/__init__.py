@@ -104,7 +104,7 @@ def run_session(
     loop = compose(experiment, external=external)
     refuse_unsound_measures(loop, rehearsal)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
-    on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
+    on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link, external=external)
     refuse_undisturbed(experiment, loop.rig, on)
     if clock == "real":
         refuse_unopened(on, external=external)

@@ -18,13 +18,12 @@ itself knows neither time nor errors: it hands a frame to the other programs on 
 from __future__ import annotations
 
 import select
-from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from errno import ENODEV
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from transport.links import TransportError
-from transport.links.can_datagram import BRS, CONTROLLER, ERROR, ESI, EXTENDED, FDF, FRAME, ID_MASK, OWN, REMOTE
+from transport.links.can_datagram import BRS, CONTROLLER, ERROR, ESI, EXTENDED, FDF, FRAME, ID_MASK, OWN, REMOTE, matches_of
 from transport.links.can_open import join_channel
 from transport.links.hil_frames import HilFrames
 from transport.links.private_directory import bus_directory as bus_directory
@@ -58,22 +57,6 @@ def message_of(datagram: bytes, channel: str) -> can.Message:
         bitrate_switch=bool(flags & BRS),
         error_state_indicator=bool(flags & ESI),
     )
-
-
-def matches_of(filters: Iterable[Mapping[str, Any]]) -> tuple[tuple[int, int], ...]:
-    """Return acceptance filters, as python-can writes them, as pairs of identifier and mask with the flags of <linux/can.h>.
-
-    Args:
-        filters: ``can_id`` and ``can_mask`` of each, and whether it is of ``extended`` identifiers.
-    """
-    matches = []
-    for rule in filters:
-        can_id, mask = rule["can_id"] & ID_MASK, rule["can_mask"] & ID_MASK
-        if "extended" in rule:
-            can_id |= EXTENDED if rule["extended"] else 0
-            mask |= EXTENDED
-        matches.append((can_id, mask))
-    return tuple(matches)
 
 
 class HilBus(can.BusABC):

@@ -11,8 +11,9 @@ Reference: linux/can/error.h; can_change_state in drivers/net/can/dev/dev.c.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from struct import Struct
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bits import wire_bits
@@ -34,6 +35,22 @@ FDF: Final = 0x04
 OWN: Final = 0x80
 LOOK: Final = 0x40
 """Flags of ours: a frame of one's own; no frame, but a word that the error state of a participant has changed."""
+
+
+def matches_of(filters: Iterable[Mapping[str, Any]]) -> tuple[tuple[int, int], ...]:
+    """Return acceptance filters, as python-can writes them, as pairs of identifier and mask with the flags of <linux/can.h>.
+
+    Args:
+        filters: ``can_id`` and ``can_mask`` of each, and whether it is of ``extended`` identifiers.
+    """
+    matches = []
+    for rule in filters:
+        can_id, mask = rule["can_id"] & ID_MASK, rule["can_mask"] & ID_MASK
+        if "extended" in rule:
+            can_id |= EXTENDED if rule["extended"] else 0
+            mask |= EXTENDED
+        matches.append((can_id, mask))
+    return tuple(matches)
 
 
 def frame_of(identifier: int, length: int, flags: int, data: bytes | bytearray) -> CanFrame:

@@ -37,6 +37,9 @@ BASES: Final = range(0, 0x800, 0x100)
 LARGEST: Final = 0x7FF
 """The largest identifier of 11 bits."""
 
+MESSAGES: Final = ("dbc", "outputs", "references", "inputs", "counters", "valid")
+"""Options of a URI whose controller has messages of its own, see `transport.links.own_messages`."""
+
 _RANGE: Final = "(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8})(?:-(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8}))?"
 
 

@@ -61,6 +61,8 @@ class Frames(Protocol):
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
 
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None: ...
+
     def shutdown(self) -> None: ...
 
 
@@ -219,10 +221,8 @@ class CanLink(Closing):
         return data[:size]
 
     def disturb(self, faults: Sequence[BusFault], seed: int) -> None:
-        if self._ours is None:
-            raise TransportError(f"link {self.uri!r}: no bus of ours, whose bits could be disturbed")
         try:
-            self._ours.plan(faults, seed, [[], [*self._receives]])
+            self._frames.plan(faults, seed, [[], [*self._receives]])
         except _FAULTS as error:
             raise TransportError(f"link {self.uri!r}: {error}") from error
 

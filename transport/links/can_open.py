@@ -14,17 +14,21 @@ from errno import EAFNOSUPPORT, ENODEV
 from functools import partial
 from inspect import signature
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from transport.can_bus_model import BitRates
 from transport.errors import FieldError, nearest
 from transport.links import Role, TransportError, split_uri
-from transport.links.can_identifiers import filters, identifiers_of
+from transport.links.can_datagram import matches_of
+from transport.links.can_identifiers import MESSAGES, derived, filters, identifiers_of
 from transport.links.can_link import CanLink, Frames
 from transport.links.hil_frames import HilFrames
 from transport.links.private_directory import Claim, bus_directory, namespace
 
-OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")
+if TYPE_CHECKING:
+    from transport.links.message_table import MessageTable
+
+OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control", *MESSAGES)
 """What a CAN link's URI may say of its frames; the rest is the interface's."""
 
 _RESERVED: Final = ("args", "kwargs", "channel", "interface", "config_context", "ignore_config", "can_filters", "protocol")
@@ -41,8 +45,8 @@ def open_can(uri: str, role: Role) -> CanLink:
     Args:
         uri: ``can:<interface>:<channel>``, with the options ``fd`` (1 or 0), ``pad`` (1 or 0), ``base`` (first identifier, a
             multiple of 0x100), ``nodes`` (number of sensor nodes) or ``ids`` (the identifiers of each node, as in
-            ``0x141,0x150-0x151``), ``control`` (those of the control packets), and whatever the interface takes, ``bitrate`` for
-            instance. ``virtual`` is python-can's bus within one process.
+            ``0x141,0x150-0x151``), ``control`` (those of the control packets), those of `transport.links.own_messages` in their
+            place, and whatever the interface takes, ``bitrate`` for instance. ``virtual`` is python-can's bus within one process.
         role: "rig" or "controller".
 
     Raises:
@@ -55,35 +59,48 @@ def open_can(uri: str, role: Role) -> CanLink:
     _, address, options = split_uri(uri)
     interface, _, channel = address.partition(":")
     check_options(uri)
-    fd = options.pop("fd", "1")
+    messages = _own_messages(uri, role, options) if "dbc" in options else None
+    fd = options.pop("fd", "1" if messages is None or messages.fd else "0")
     if fd not in ("0", "1"):
         raise TransportError(f"link {uri!r}: fd={fd}, expected 1 (CAN FD) or 0 (classic CAN)")
     pad = options.pop("pad", "0")
     if pad not in ("0", fd):
         raise TransportError(f"link {uri!r}: pad={pad}, expected 1 (FD frames of 64 bytes) or 0; classic frames have no padding")
     flexible = fd == "1"
-    identifiers = identifiers_of(uri, options, flexible)
-    accepted = identifiers.of("controller" if role == "rig" else "rig")
+    if messages is None:
+        identifiers = identifiers_of(uri, options, flexible)
+        accepted = identifiers.of("controller" if role == "rig" else "rig")
+        owned, wanted = [own[0] for own in accepted], filters(accepted)
+    else:
+        identifiers, wanted = derived(nodes=len(messages.outputs)), messages.filters()
+        owned = [frame["can_id"] for frame in wanted]
     arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
     if interface == "udp_multicast":
         arguments.setdefault("hop_limit", 0)  # python-can's default of 1 puts every frame on the local network
     quiet = role == "controller"  # the rig says of both that a bit rate times nothing
     join: Callable[[], Frames]
     if interface == "hil":
-        join = partial(_join_hil, channel, quiet=quiet, fd=flexible, **arguments)  # the link sorts out the rest
+        wanted = [] if messages is None else wanted  # the link sorts out the rest
+        join = partial(_join_hil, channel, quiet=quiet, wanted=wanted, fd=flexible, **arguments)
     else:
         from transport.links.python_can import join_interface
 
-        arguments["can_filters"] = filters(accepted)
+        arguments["can_filters"] = wanted
         join = partial(join_interface, interface, channel, fd=flexible, quiet=quiet, options=arguments)
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
+    if messages is not None:
+        from transport.links.own_messages import OwnMessages
+
+        joins, own = join, messages
+        join = lambda: OwnMessages(joins(), own)  # noqa: E731
     with ExitStack() as held:  # until the link holds them
         port = str(arguments.get("port", ""))  # on another port of a multicast group is another bus
         at, choose = ("can", interface, str(_world(interface)), channel, port), "another channel or base"
-        claims = [held.enter_context(Claim(uri, role, *at, own[0], choose=choose)) for own in accepted]
+        claims = [held.enter_context(Claim(uri, role, *at, own, choose=choose)) for own in owned]
         try:
-            link = CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
+            packed = flexible or messages is not None
+            link = CanLink(uri, role, join, identifiers=identifiers, fd=packed, pad=pad == "1", claims=claims)
         except Exception as error:  # a back end without its driver raises anything, a NameError for instance
             said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
             raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
@@ -91,11 +108,37 @@ def open_can(uri: str, role: Role) -> CanLink:
     return link
 
 
-def _join_hil(channel: str, *, quiet: bool, **options: Any) -> HilFrames:
+def _own_messages(uri: str, role: Role, options: dict[str, str]) -> MessageTable:
+    """Return the messages that the controller has of its own, and take their options out.
+
+    Raises:
+        TransportError: the end is not the rig's, or options of the rig's own packets stand beside them.
+    """
+    from transport.links.message_table import read_table  # of the few links that have them; it reads a DBC
+
+    if role != "rig":
+        raise TransportError(
+            f"link {uri!r}: dbc: its other end is your own controller, with its own messages; start it, and the rig by hil rig"
+        )
+    beside = [name for name in ("pad", "base", "nodes", "ids", "control") if name in options]
+    if beside:
+        raise TransportError(f"link {uri!r}: {beside[0]}: says how the rig's own packets travel; with dbc= none do")
+    try:
+        messages = read_table({name: options.pop(name) for name in MESSAGES if name in options})
+    except ValueError as error:
+        raise TransportError(f"link {uri!r}: {error}") from error
+    if messages.fd and options.get("fd") == "0":
+        raise TransportError(f"link {uri!r}: fd=0, and the DBC has CAN FD messages among those in use")
+    return messages
+
+
+def _join_hil(channel: str, *, quiet: bool, wanted: list[dict[str, int | bool]], **options: Any) -> HilFrames:
     with warnings.catch_warnings():
         if quiet:
             warnings.simplefilter("ignore")
-        return join_channel(channel, **options)
+        frames = join_channel(channel, **options)
+    frames.matches = matches_of(wanted) or None
+    return frames
 
 
 def _check_name(uri: str, interface: str) -> None:

@@ -192,6 +192,16 @@ class HilFrames:
         head = self._heads.get(identifier << 7 | len(data))
         return self.mesh.send((self._head(identifier, len(data)) if head is None else head) + data)
 
+    def send_as(self, identifier: int, fd: bool, data: bytes) -> bool:
+        """Send a frame of either format; return whether a participant took it.
+
+        Args:
+            identifier: with the flag of <linux/can.h> for an extended one.
+            fd: a CAN FD frame, with bit rate switch.
+            data: of a length that such a frame has.
+        """
+        return self.put(identifier, len(data), FDF | BRS if fd else 0, data, 0.0)
+
     def _head(self, identifier: int, length: int) -> bytes:
         """Return the head of each frame of an identifier and a length, without a time, which costs a tenth of a round trip."""
         head = _PACK(0.0, 0, identifier, length, FDF | BRS if self._fd else 0)

@@ -11,12 +11,17 @@ import importlib
 import logging
 import sys
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from inspect import Parameter, signature
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from transport.links.can_datagram import ERROR, EXTENDED, REMOTE
+from transport.links import TransportError
+from transport.links.can_datagram import ERROR, EXTENDED, ID_MASK, REMOTE
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.disturbances import BusFault
 
 if "can" in sys.modules or "asammdf" in sys.modules:
     import can
@@ -64,8 +69,12 @@ class MessageFrames:
 
     def send_frame(self, identifier: int, data: bytes) -> bool:
         """Send a frame with a standard identifier; return whether a participant took it: as far as known."""
-        fd = self._fd
-        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_fd=fd, bitrate_switch=fd, data=data)
+        return self.send_as(identifier, self._fd, data)
+
+    def send_as(self, identifier: int, fd: bool, data: bytes) -> bool:
+        """Send a frame of either format, the flag of <linux/can.h> in its identifier says an extended one; return as before."""
+        number, extended = identifier & ID_MASK, bool(identifier & EXTENDED)
+        message = can.Message(arbitration_id=number, is_extended_id=extended, is_fd=fd, bitrate_switch=fd, data=data)
         try:
             self._bus.send(message, 0.0)
         except can.CanError as error:
@@ -90,6 +99,14 @@ class MessageFrames:
             raise _of_system(error) from error
         except TypeError:
             return _NO_FRAME
+
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
+        """Refuse to disturb bits.
+
+        Raises:
+            TransportError: always.
+        """
+        raise TransportError("no bus of ours, whose bits could be disturbed")
 
     def shutdown(self) -> None:
         """Leave the bus."""

@@ -14,7 +14,7 @@ import os
 import stat
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final, Literal, Protocol, get_args, runtime_checkable
+from typing import Final, Literal, Protocol, runtime_checkable
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -68,7 +68,7 @@ def _at_socket(folder: Path) -> str:
     return "any process of this user" if private else f"any process that may write in {folder}"
 
 
-KeyTable = Literal["tls", "login"]
+LinkTable = Literal["tls", "login", "messages"]
 """Tables of an experiment's `[links]` that not every link takes."""
 
 
@@ -101,7 +101,7 @@ class LinkTraits(Struct, frozen=True, kw_only=True):
         in_process: whether the rig's process runs the controller itself, so that there is no way between them that takes time.
         timed: whether its frames take the time of a CAN bus, whose bits faults can disturb.
         own_threads: whether packets pass through threads of the link's own at each end.
-        takes: tables of keys that its URI has options for, beside the key of `auth=`, which every link takes.
+        takes: tables that its URI has options for, beside the key of `auth=`, which every link takes.
         keyed: whether every packet has a message authentication code.
         names_certificates: whether the URI itself says where certificates stand.
         certificates: by which files both ends know each other; None where they show no certificates.
@@ -113,7 +113,7 @@ class LinkTraits(Struct, frozen=True, kw_only=True):
     in_process: bool = False
     timed: bool = False
     own_threads: bool = False
-    takes: frozenset[KeyTable] = frozenset()
+    takes: frozenset[LinkTable] = frozenset()
     keyed: bool = False
     names_certificates: bool = False
     certificates: Certificates | None = None
@@ -227,7 +227,12 @@ def _can(uri: str) -> LinkTraits:
     interface, _, channel = address.partition(":")
     commanders = on_can(interface, channel, hops=options.get("hop_limit", "0"))
     timed = interface == "hil" and options.get("timed") in ("1", "true")  # a thread hands out what has got through
-    return LinkTraits(can=framing, commanders=commanders, timed=timed, own_threads=timed, one_process=interface == "virtual")
+    if "dbc" in options and "auth" in options:
+        raise TransportError(f"link {uri!r}: auth: messages of the controller's own (dbc=) have no room for a code")
+    return LinkTraits(
+        can=None if "dbc" in options else framing, commanders=commanders, timed=timed, own_threads=timed,
+        one_process=interface == "virtual", takes=frozenset(("messages",)),
+    )  # fmt: skip
 
 
 def _zenoh(uri: str) -> LinkTraits:
@@ -241,7 +246,7 @@ def _zenoh(uri: str) -> LinkTraits:
     else:
         commanders = on_zenoh(endpoint, options)
     return LinkTraits(
-        commanders=commanders, own_threads=True, takes=frozenset(get_args(KeyTable)), certificates=shown,
+        commanders=commanders, own_threads=True, takes=frozenset(("tls", "login")), certificates=shown,
         names_certificates=bool(options.keys() & {"keys", "ca", "cert", "key"}),
     )  # fmt: skip
 

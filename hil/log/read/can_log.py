@@ -233,5 +233,8 @@ class _BusOfPaper:
     def recv_frame(self, timeout: float) -> None:
         """No other is on it."""
 
+    def plan(self, faults: object, seed: int, senders: object) -> None:
+        """It has no bits."""
+
     def shutdown(self) -> None:
         """Nothing is open."""

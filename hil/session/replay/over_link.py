@@ -176,7 +176,7 @@ def _with_nodes(run: Run, uri: str, source: str) -> str:
     """Return a link on which each node of the run has its own CAN identifiers, where the run had more than one."""
     if not run.resolved.get("network", {}).get("nodes"):
         return uri
-    return link_of(rig_of(experiment_of(run, source)), uri).uri
+    return link_of(rig_of(experiment_of(run, source)), uri, external=True).uri
 
 
 class Playback(Struct, frozen=True, kw_only=True):

@@ -45,7 +45,7 @@ def test_a_link_says_whether_it_has_frames_threads_keys_and_another_process() ->
     assert can.can == CanFraming(base=0x200, fd=False, names_nodes=True) and can.can.frame_bytes == 8
     assert (zenoh.can, zenoh.own_threads, zenoh.takes) == (None, True, {"tls", "login"})
     assert all(traits_of(uri).one_process for uri in ("memory:", "local:", "can:virtual:x")) and not can.one_process
-    assert (can.own_threads, can.in_process, can.takes, local.in_process) == (False, False, frozenset(), True)
+    assert (can.own_threads, can.in_process, can.takes, local.in_process) == (False, False, {"messages"}, True)
 
 
 @pytest.mark.parametrize("uri", ["can:hil", "zenoh:127.0.0.1", "cam:hil:a", "nonsense", "can:hil:a?base=7", "can:hil:a?auth="])
