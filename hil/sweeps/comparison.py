@@ -15,7 +15,18 @@ from hil.measure import Quantity
 from hil.measure.signals import Array, with_unit
 from hil.notebook import Result
 from hil.sweeps.seeds import here, quantities_in, run_sweep, seeds_of
-from hil.sweeps.shown import SHORTER, ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
+from hil.sweeps.shown import (
+    SHORTER,
+    ShownResult,
+    Values,
+    all_together,
+    asked,
+    interval_of,
+    measured,
+    paint_distributions,
+    pairs,
+    within,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
@@ -53,6 +64,10 @@ class Comparison(ShownResult):
         return next(iter(self.values))
 
     @property
+    def _level(self) -> float:
+        return all_together(len(self.values) - 1)
+
+    @property
     def stopped(self) -> bool:
         """Whether safety stopped a run."""
         return any(bool(values["stopped"].any()) for values in self.values.values())
@@ -67,6 +82,8 @@ class Comparison(ShownResult):
         Whom safety stops more often is worse. Otherwise it is judged by the first quantity of which it is known what is better;
         runs that safety stopped are shorter than the others, so that no number of theirs is judged. Where one of them lacks a
         number that the other has in the same seed, a mean over the others would leave out the best or the worst runs.
+        The level is that of all verdicts together: one by one, of eleven equal experiments one is called better or worse than
+        the first in a quarter of all comparisons.
         """
         stops = self._verdict_on_stops(name)
         if stops is not None:
@@ -80,14 +97,15 @@ class Comparison(ShownResult):
             counts = f"{own.sum()} of its {self.runs} runs and in {other.sum()} of {self.first}"
             return f"{undecided} is a number in {counts}, not in the same ones"
         pairs = self._pairs(name, judged.name)
-        gap = difference_interval(*pairs)
+        gap = difference_interval(*pairs, self._level)
         if not (own.any() or other.any()) and any(q.name.startswith(f"{judged.name}.") for q in self.quantities):
             return f"{undecided} is not summed over outputs of several units; it stands below for each output"
         if gap.n < 2:
             return f"{undecided} is a number in {gap.n} runs of both, 2 are needed"
         if not gap.bounded:
             return f"{undecided} differs by the same {gap.value:+.4g} in all {gap.n} runs, and {EQUAL} are needed to show that"
-        numbers = f"{judged.title} {_change(*pairs, judged.unit)}, {gap.n} runs"
+        together = "" if len(self.values) < 3 else f" (95 % for all {len(self.values) - 1} together)"
+        numbers = f"{judged.title} {_change(*pairs, judged.unit, self._level)}, {gap.n} runs{together}"
         if gap.low <= 0.0 <= gap.high:
             return f"{name} against {self.first}: no difference is shown: {numbers}"
         better = (gap.value < 0.0) == (judged.better == "lower")
@@ -132,20 +150,20 @@ class Comparison(ShownResult):
         counts = f"{own.sum() or 'none'} of its {self.runs} runs, {other.sum() or 'none'} of {self.first}"
         only_own, only_other = int((own & ~other).sum()), int((other & ~own).sum())
         p = float(binomtest(only_own, only_own + only_other).pvalue) if only_own + only_other else 1.0
-        if p >= 0.05:
+        if p >= 1.0 - self._level:
             return f"{name} against {self.first}: undecided; safety stopped {counts} (as many by chance: p = {p:.2g})"
         return f"{name} is {'worse' if only_own > only_other else 'better'}: safety stopped {counts}"
 
 
-def _change(a: Array, b: Array, unit: str) -> str:
-    """The difference of the means, in per cent where the first mean is above 0 with certainty."""
-    gap, share = difference_interval(a, b), ratio_interval(a, b)
+def _change(a: Array, b: Array, unit: str, level: float) -> str:
+    """The difference of the means with its interval, in per cent where the first mean is above 0 with certainty."""
+    gap, share = difference_interval(a, b, level), ratio_interval(a, b, level)
     if gap.low == gap.high:
         return f"{' '.join(filter(None, (f'{gap.value:+.4g}', unit)))} in every pair (equal differences: no interval)"
     if a.mean() > 0.0 and share.bounded:
         value, low, high = (f"{100.0 * (q - 1.0):+.1f}" for q in (share.value, share.low, share.high))
-        return f"{value} %, 95 % interval {low} to {high} %"
-    number = f"{gap.value:+.4g}, 95 % interval {gap.low:+.4g} to {gap.high:+.4g}"
+        return f"{value} %, {100.0 * level:.4g} % interval {low} to {high} %"
+    number = f"{gap.value:+.4g}, {100.0 * level:.4g} % interval {gap.low:+.4g} to {gap.high:+.4g}"
     return f"{number} {unit}" if unit else number
 
 

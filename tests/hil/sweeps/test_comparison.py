@@ -69,6 +69,21 @@ def test_a_mean_over_those_that_came_through_is_no_verdict(both: hil.Comparison,
     assert replace(both, values=same).verdict("b").startswith("b is better than a: ")
 
 
+def test_of_many_equal_experiments_hardly_one_is_called_better_or_worse() -> None:
+    quantity, rng = Quantity(name="lost", title="packets lost", better="lower"), np.random.default_rng(5)
+    wrong, stops = 0, 0
+    for _ in range(100):
+        values = {name: {"stopped": np.zeros(20), "lost": rng.normal(9.0, 1.0, 20)} for name in "abcdefghijk"}
+        found = hil.Comparison(runs=20, values=values, quantities=(quantity,))
+        said = [found.verdict(name) for name in "bcdefghijk"]
+        wrong += any(" than a: " in each for each in said)
+        for columns in values.values():
+            columns["stopped"] = (rng.random(20) < 0.5).astype(float)
+        stops += any("undecided" not in found.verdict(name) for name in "bcdefghijk")
+    assert wrong < 10 and stops < 10, "one by one 24 and 14"
+    assert ", 99.5 % interval " in said[0] and said[0].endswith("20 runs (95 % for all 10 together)")
+
+
 def test_equal_differences_of_a_few_runs_show_nothing() -> None:
     quantity = Quantity(name="lost", title="packets lost", better="lower")
     few = "b against a: undecided; packets lost differs by the same +1 in all 5 runs, and 6 are needed to show that"
