@@ -25,8 +25,8 @@ RUNS = 1000
 def lower_bound(problem: Problem) -> float | None:
     """Return what no controller that is linear in what it knows goes below in the mean, None where no bound is known.
 
-    The pulse is an impulse of the discrete loop, met in a long run; the sum of squared errors after it has no end. Only for one
-    input and one sensor node: over two inputs the bound is of both impulses together.
+    The pulse is an impulse of the discrete loop, met in a long run; the sum of squared errors after it, times the period, has no
+    end. Only for one input and one sensor node: over two inputs the bound is of both impulses together.
     """
     try:
         target = tracking_target(problem.named)
@@ -36,7 +36,7 @@ def lower_bound(problem: Problem) -> float | None:
         return None
     initial = np.kron(target.sc.stationary, target.ca.stationary)
     bounds = lower_bounds(target.A, target.B, target.C, target.sc, target.ca, initial=initial)
-    return float(problem.pulse**2 * bounds.h2_delayed_information**2)
+    return float(target.period_s * problem.pulse**2 * bounds.h2_delayed_information**2)
 
 
 def best_of(found: Sequence[Reached]) -> Reached | None:
