@@ -235,7 +235,7 @@ class OwnState(Protocol):
     """A table of gains with a state xi of the controller's own, of size c: its gains have c columns more, of xi."""
 
     state_gains: StateGains
-    """[tau][c][p + c]: xi(k+1) of the samples and xi(k), for every table of gains; empty: no state."""
+    """[tau][c][p + c]: xi(k+1) of the samples, their sum where it integrates, and xi(k), for every table; empty: no state."""
 
 
 @runtime_checkable

@@ -45,7 +45,7 @@ class SendAll:
         ages: several sensor nodes: how many ages 0, 1, ... of each node have tables of their own, those of the last node first
             (as digits count); by default a table belongs to the oldest of the nodes' ages.
         state_gains: [tau][c][p + c], for a state xi of the controller's own, of size c: xi(k+1) = state_gains[tau] [y; xi], y the
-            errors of the samples. The gains have c more columns, of xi.
+            errors of the samples, and their sum between where there is an integral. The gains have c more columns, of xi.
         row_sojourns: how many rows belong to every d, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
             semi-Markov delays: [tau][d row_sojourns + slots - 1][m][p], for ``selection = "applied"``.
     """
@@ -80,8 +80,6 @@ class SendAll:
         if len(shape) != 4:
             raise FieldError("gains", "expected [tau][row][m][p] with equal lengths")
         if self.state_gains:
-            if self.integral:
-                raise FieldError("state_gains", "a table with a state of its own has no integral beside it")
             try:
                 own = np.asarray(self.state_gains, dtype=float).shape
             except ValueError:

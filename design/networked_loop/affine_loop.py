@@ -44,7 +44,8 @@ class LoopStructure(Struct, frozen=True):
     `stays` those of stays that have lasted long, see `joint_stays`;
     `default_initial` (N,) and `initial_law`, the distribution of the mode at the H2 impulse and its name;
     `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
-    `previous`); `stored_outputs` samples lie behind x, and packet rows and inputs in the last `behind` states;
+    `previous`); `stored_outputs` samples lie behind x, then `own_states` of the controller, and packet rows and inputs in the
+    last `behind` states;
     `gain_shape` = (sc labels, rows, m, py), of which the first `packet_rows` are those of a packet, and others make the
     controller's own states; `used` (sc labels, rows) says which gains can matter.
     """
@@ -68,7 +69,7 @@ class LoopStructure(Struct, frozen=True):
     stored_outputs: int
     behind: int
     packet_rows: int
-    integral: bool
+    own_states: int
     selection: str
 
     @property
@@ -147,7 +148,7 @@ def wired(
     samples: int = 1,
     weighs_input: bool = False,
     store: Literal["output", "state"] = "output",
-    free: bool = False,
+    free: int = 0,
 ) -> LoopStructure:
     """Return the loop without a z: C is (N, 0, order).
 
@@ -158,8 +159,8 @@ def wired(
             xi(k).
         weighs_input: whether z weighs an input: the newest stored row or, where the actuator chooses, the input applied last is a
             state in any case.
-        free: gains make the controller's own states instead, in rows behind those of the packet: row R + j, j = 0, 1, ..., gives
-            the m states xi[j m], ... of the next slot, of Y.
+        free: gains make so many of the controller's own states instead, the last ones, in rows behind those of the packet: row
+            R + j, j = 0, 1, ..., gives the m states from j m on, of these and of the next slot, of Y.
 
     Raises:
         FieldError: states are stored and a controller keeps its sample.
@@ -171,7 +172,7 @@ def wired(
     rows = row_count(selection, labels - 1)
     taken, delayed = (C, np.eye(p)) if store == "output" else (np.eye(n), C)
     width, depth, c = len(taken), sc.max_delay + samples - 1, own[0].shape[-1]
-    inner = -(-c // m) if free else 0
+    inner = -(-free // m)
     keeps_samples = bool(sc.holds.any())
     if keeps_samples and store != "output":
         raise FieldError("store", f"{store!r}, but a controller that keeps its sample stores outputs")
@@ -225,7 +226,7 @@ def wired(
         base[i, used:xi] += Y[: xi - used]
         base[i, xi : xi + c] += own[1][seen] @ Y[: samples * p] + own[0][seen] @ states
         offset = {"generated": label, "previous": int(ca.label[before]), "both": label * labels}.get(selection, 0)
-        entries += [(i, seen, rows + j, np.eye(order, m, -xi - j * m) * within, Y) for j in range(inner)]
+        entries += [(i, seen, rows + j, np.eye(order, m, free - xi - c - j * m) * within, Y) for j in range(inner)]
         # rows that go into a register: one per label if the actuator chooses, else the only one
         for its, (first, _) in registers.items():
             entries.append((i, seen, offset + (its if per_row else 0), np.eye(order, m, -first), Y))
@@ -244,7 +245,7 @@ def wired(
         between=joint_bounds(sc, ca, modes), stays=joint_stays(sc, ca, modes), default_initial=initial, initial_law=law,
         entries=_pack(entries, order, m, samples * p + c), input_entries=_pack(inputs, order, m, samples * p + c),
         input_base=input_base, gain_shape=(len(own[0]), rows + inner, m, samples * p + c), sc_mode=index[:, 0],
-        ca_mode=index[:, 1], ca_before=index[:, 2], plant_order=n, integral=False, behind=order - xi - c,
+        ca_mode=index[:, 1], ca_before=index[:, 2], plant_order=n, own_states=c, behind=order - xi - c,
         stored_outputs=depth + (samples if keeps_samples else 0), packet_rows=rows, selection=selection,
     )  # fmt: skip
 

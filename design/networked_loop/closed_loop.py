@@ -74,11 +74,11 @@ def loop_structure(
         output: "stacked" is z = [Q x; R u1], "sum" is z = Q x + R u1 as printed (the two may cancel).
         samples: in one packet: Y = [y(k - tau); y(k - tau - 1); ...].
         integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y
-            gets xi(k) as its last p entries, and z gets `integral` * xi(k) (stacked).
+            gets xi(k) as its next p entries, and z gets `integral` * xi(k) (stacked).
         store: "output" delays C x, "state" delays x as printed: same loop, more states.
         order: states of the controller's own, xi, which Y gets as its last entries. Rows of the gains behind those of the packet
             make xi(k+1), see `affine_loop.wired`.
-        state_gains: (sc labels, c, samples p + c), given, in their place: xi(k+1) = state_gains Y.
+        state_gains: (sc labels, c, entries of Y), given, in their place: xi(k+1) = state_gains Y.
 
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
@@ -92,16 +92,15 @@ def loop_structure(
         raise FieldError("integral", f"{integral:g}, expected a finite weight >= 0")
     if selection not in SELECTIONS:
         raise FieldError("selection", f"{selection!r}, expected one of {', '.join(SELECTIONS)}")
-    given = np.asarray(state_gains, dtype=np.float64)
-    if integral > 0 and (order or given.size):
-        raise FieldError("integral", f"{integral:g}, but a controller with a state of its own has none beside it")
-    own = order or (given.shape[1] if given.size else int(integral > 0) * p)
-    if not given.size:
-        sums = np.hstack([np.eye(own, samples * p), np.eye(own)]) if integral > 0 else np.zeros((own, samples * p + own))
-        given = np.repeat(sums[None], int(sc_chain.label.max()) + 1, axis=0)
+    given, known, sums = np.asarray(state_gains, dtype=np.float64), samples * p, int(integral > 0) * p
+    own = sums + (given.shape[1] if given.size else order)
+    moves = np.zeros((int(sc_chain.label.max()) + 1, own, known + own))
+    moves[:, :sums] = np.hstack([np.eye(sums, known), np.eye(sums, own)])
+    if given.size:
+        moves[:, sums:] = given
     found = wired(
-        plant, sc_chain, ca_chain, selection, samples=samples, own=(given[..., samples * p :], given[..., : samples * p]),
-        weighs_input=True, store=store, free=order > 0,
+        plant, sc_chain, ca_chain, selection, samples=samples, own=(moves[..., known:], moves[..., :known]), weighs_input=True,
+        store=store, free=order,
     )  # fmt: skip
     states = found.base.shape[-1]
     xi = states - found.behind - own
@@ -109,7 +108,7 @@ def loop_structure(
         plant[2], m, states, Q=Q, R=R, output=output, integral=integral, integral_at=xi,
         input_at=states - m if selection in ("applied", "both") else xi + own,
     )  # fmt: skip
-    return replace(found, C=np.repeat(weight[None], len(found.base), axis=0), integral=integral > 0)
+    return replace(found, C=np.repeat(weight[None], len(found.base), axis=0))
 
 
 def _performance_output(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import TooLarge
 from design.jump_linear.coupled_lyapunov import factors_of, mean, transposed_factors
 from design.jump_linear.higher_moments import monomials, power_entries
 from design.networked_loop.affine_loop import LoopStructure
@@ -22,6 +23,8 @@ SPARSE = 0.05
 """Share of a matrix's entries that are not zero, below which these are multiplied one by one."""
 LARGE = 2**15
 """Entries of all modes that are not zero, from which on the import of scipy pays."""
+MOST_ENTRIES = 3e7
+"""Entries of the matrices by which fourth moments go on, up to which these are made: some seconds, and 0.7 GB."""
 
 
 class MomentRecursion:
@@ -91,6 +94,8 @@ class MomentRecursion:
 
     def _move(self, affine: Array, weights: Array) -> Callable[[Array], Array]:
         """Return what takes the moments of every mode through xi <- A xi, s <- s + weight |e|^2."""
+        if (entries := float((np.count_nonzero(affine, axis=(1, 2)) ** 4.0).sum()) / 24.0) > MOST_ENTRIES:
+            raise TooLarge(f"fourth moments of {len(affine)} modes with {self.d - 1} states have {entries:.2g} entries")
         kinds, which = np.unique(affine.reshape(len(affine), -1), axis=0, return_inverse=True)
         found = [self._entries(A.reshape(affine.shape[1:]), weights) for A in kinds]
         width = self.M.shape[1]
@@ -136,17 +141,14 @@ class MomentRecursion:
         return np.where(none[mode], longest, rows), True
 
     def _silence(self, affine: Array, quiet: npt.NDArray[np.bool_], hold: Array, rows: npt.NDArray[np.int64]) -> None:
-        """No sample has come yet: rows are 0, u* below the ideal, and no error is added to the integral."""
+        """No sample has come yet: rows are 0, u* below the ideal, and the controller's own states stay."""
         s, e = self.structure, self.structure.entries
         for index in np.flatnonzero(quiet[e.mode]):
             mode = e.mode[index]
             affine[mode, :-1, :-1] -= e.left[index] @ self.gains[e.sc[index], rows[index]] @ e.right[index]
             affine[mode, :-1, -1] -= e.left[index] @ hold
-        if s.integral:
-            at = s.plant_order + s.stored_outputs * self.p
-            for mode in np.flatnonzero(quiet):
-                affine[mode, at : at + self.p, :-1] = 0.0
-                affine[mode, at : at + self.p, at : at + self.p] = np.eye(self.p)
+        end = self.d - 1 - s.behind
+        affine[quiet, end - s.own_states : end] = np.eye(s.own_states, self.d, end - s.own_states)
 
     def read(self) -> tuple[Array, Array, float, float]:
         """E e and its variance per output, E |e|^2, E |e|^4 at this slot."""

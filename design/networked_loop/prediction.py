@@ -70,6 +70,7 @@ def predict_tracking(
     tracked: Sequence[int] | None = None,
     samples: int = 1,
     integral: bool = False,
+    state_gains: npt.ArrayLike = (),
     sums_from: tuple[int, ...] = (0,),
 ) -> Prediction:
     """Predict the tracking error of an experiment.
@@ -87,17 +88,20 @@ def predict_tracking(
         x0: (n,) plant state at k = 0 and before; default 0.
         drive: (K, n), f(k) in x(k+1) = A x(k) + B (u(k) + w(k)) + f(k), states' units; default none.
         tracked: outputs whose squares are summed, of one unit; default all.
-        samples, integral: as the gains were designed.
+        samples, integral, state_gains: as the gains were designed, see `design.networked_loop.closed_loop.loop_structure`.
         sums_from: start slots of the sums.
 
     Raises:
         ValueError: wrong shapes.
         DesignError: a reference that no input holds.
+        TooLarge: more fourth moments than are computed, as of a controller with many states.
     """
     from design.whole_process import one_blas_thread
 
     sc, ca = as_chain(Lambda, "Lambda"), as_chain(Pi, "Pi")
-    structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=1.0 if integral else 0.0)
+    structure = loop_structure(
+        A, B, C, sc, ca, selection, samples=samples, integral=1.0 if integral else 0.0, state_gains=state_gains
+    )  # fmt: skip
     K = check_gains(gains, structure.gain_shape)
     n, p, m = structure.plant_order, np.shape(C)[0], structure.B.shape[2]
     r = _signal(reference, p, "reference", None)
@@ -116,10 +120,9 @@ def predict_tracking(
         """Steady closed-loop state at a constant reference."""
         if star is None:
             return np.zeros(structure.base.shape[-1])
-        inputs = (structure.base.shape[-1] - n - structure.stored_outputs * p - (p if structure.integral else 0)) // m
         return np.concatenate([
-            star.state @ value, np.tile(value, structure.stored_outputs), np.zeros(p if structure.integral else 0),
-            np.tile(star.input @ value, inputs),
+            star.state @ value, np.tile(value, structure.stored_outputs), np.zeros(structure.own_states),
+            np.tile(star.input @ value, structure.behind // m),
         ])  # fmt: skip
 
     start = -ideal(r[0])

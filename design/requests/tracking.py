@@ -143,8 +143,6 @@ class Designed:
             raise FieldError("integral_limit", "needs integral above 0: without it there is no sum to clamp")
         if self.sojourns < 1:
             raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
-        if self.order and self.integral:
-            raise FieldError("order", f"{self.order}, but a controller with a state of its own has no integral beside it")
         check_row_sojourns(self.row_sojourns, self.information, "information")
 
     @property

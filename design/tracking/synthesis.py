@@ -23,7 +23,7 @@ from msgspec import Struct
 from design.errors import DesignError, FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
 from design.networked_loop.certify import LowerBounds, certify_structure, lower_bounds
-from design.processes.delay_chain import Array
+from design.processes.delay_chain import Array, Index
 from design.tracking import COARSER, DEFAULT_STARTS, TrackingProblem, embed, state_gains_of
 from design.tracking.bfgs import Descent, bfgs
 from design.tracking.local_design import lqr_feedback
@@ -191,8 +191,8 @@ def _stable_starts(problem: TrackingProblem, objective: LoopObjective) -> Iterat
     """
     none = np.zeros(objective.space.shape)
     if problem.order:
-        p, made = len(np.asarray(problem.C)), state_gains_of(none, problem.order)[1]
-        made[:] = np.eye(problem.order, problem.samples * p + problem.order)
+        made, shown = state_gains_of(none, problem.order)[1], _shown(problem, none.shape[3])
+        made[..., shown] = np.eye(problem.order, len(shown))
     zero = objective.space.coordinates(none)
     yield zero
     with suppress(DesignError):  # an eigenvalue on the unit circle that z does not see
@@ -216,10 +216,16 @@ def _state_feedback(problem: TrackingProblem, shape: tuple[int, int, int, int]) 
     feedback, last = -lqr_feedback(A, B, C, CHEAP), problem.samples - 1 + problem.order // len(C)
     oldest = np.linalg.pinv(np.concatenate([C @ np.linalg.matrix_power(A, last - i) for i in range(last + 1)]))
     gains = np.zeros(shape)
-    rows = state_gains_of(gains, problem.order)[0]
+    rows, shown = state_gains_of(gains, problem.order)[0], _shown(problem, shape[3])
     for label, delay in enumerate(problem.chains[0].label_delay.clip(0)):
-        rows[label, ..., : oldest.shape[1]] = feedback @ np.linalg.matrix_power(A, int(delay) + last) @ oldest
+        rows[label][..., shown[: oldest.shape[1]]] = feedback @ np.linalg.matrix_power(A, int(delay) + last) @ oldest
     return gains
+
+
+def _shown(problem: TrackingProblem, known: int) -> Index:
+    """Return which of what the gains know are samples, or a controller's own state, and no sum of errors."""
+    seen = problem.samples * len(np.asarray(problem.C))
+    return np.append(np.arange(seen), np.arange(known - problem.order, known))
 
 
 def _other_start(

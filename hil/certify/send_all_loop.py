@@ -19,7 +19,7 @@ from design.jump_linear.order_of_modes import growth_in_every_order
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, jumping, limited_to_model, table_of, undecided
-from hil.certify.bounded_departures import ends_within
+from hil.certify.bounded_departures import CLAMPED, ends_within
 from hil.rig.delay_chains import gains_within, state_gains_within
 from hil.rig.loop import Array
 from plants.parts.protocols import JumpPlant
@@ -97,6 +97,8 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
     its = controller_traits(controller)
     clamped = bool(its.integral_limit)  # its sum counts as a departure at the input
+    if clamped and its.order:
+        return undecided(loop, "mean-square stability", f"{CLAMPED} beside a state of the controller's own")
     try:
         table = table_of(loop, controller)
         table = table[..., : -len(loop.motion.C)] if clamped else table

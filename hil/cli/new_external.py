@@ -7,6 +7,7 @@ goes on.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
@@ -241,13 +242,15 @@ def law_tables(loop: Loop) -> LawTables:
     if isinstance(controller, GainTable):
         K = np.asarray(controller.table(model), dtype=float)
         sojourns = (1,) * len(K) if isinstance(its.sojourns, int) or not its.sojourns else tuple(its.sojourns)
-        moved = np.zeros((p * its.integrates, K.shape[-1]))  # the sum of the newest errors
-        for i in range(len(moved)):
-            moved[i, [i, p * its.samples + i]] = 1.0
-        moves = np.array(its.state_gains) if its.state_gains else np.repeat(moved[None], len(K), axis=0)
+        sums = p * its.integrates
+        moves = np.zeros((len(K), sums + its.order, K.shape[-1]))
+        moves[:, :sums] = np.eye(sums, K.shape[-1]) + np.eye(sums, K.shape[-1], p * its.samples)  # of the newest errors
+        if its.state_gains:
+            moves[:, sums:] = its.state_gains
+        limit = (*its.integral_limit, *its.order * [sys.float_info.max]) if its.integral_limit else ()
         return LawTables(
             omega=feedforward(model), gains=K, state=moves, state_first=False, samples=its.samples,
-            ages=its.ages if len(its.ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)), limit=its.integral_limit,
+            ages=its.ages if len(its.ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)), limit=limit,
         )  # fmt: skip
     if isinstance(controller, LinearFeedback):
         law = controller.linear_law(model)

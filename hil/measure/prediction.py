@@ -14,7 +14,7 @@ from design.controllers import GainTable, controller_traits, feedforward
 from hil.measure.signals import AFTER_S, Array, signals_of, target_of
 from hil.measure.tracking import squared_unit
 from hil.rig import motion_of
-from hil.rig.delay_chains import gains_over
+from hil.rig.delay_chains import gains_over, state_gains_within
 from hil.rig.loop import Loop
 from hil.rig.missing_packets import STOPPED, percent, watchdog_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
@@ -71,11 +71,11 @@ class PredictedTracking(Struct, frozen=True, kw_only=True):
 def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
 
-    That is: a controller that is no table of gains, clamps its integral or has a state of its own, a network law without a
-    chain, a packet law under which the controller may receive nothing of a node for longer than its chain distinguishes ages
-    (then it answers zeros, not by its gains), first packets whose rows are of a longer delay than the law has, gains by lengths
-    of stay that the first slots do not show, a plant that jumps or has delayed states, faults on the time line, or a reference
-    that no input holds.
+    That is: a controller that is no table of gains or clamps its integral, a network law without a chain, a packet law under
+    which the controller may receive nothing of a node for longer than its chain distinguishes ages (then it answers zeros, not by
+    its gains), first packets whose rows are of a longer delay than the law has, gains by lengths
+    of stay that the first slots do not show, a plant that jumps or has delayed states, faults on the time line, a reference
+    that no input holds, or more fourth moments than are computed, as of a controller with eight states and more.
 
     Args:
         loop: the composed experiment.
@@ -88,7 +88,6 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     if (
         not isinstance(controller, GainTable)
         or controller_traits(controller).integral_limit
-        or controller_traits(controller).state_gains
         or sc is None
         or ca is None
         or loop.experiment.fault
@@ -117,7 +116,8 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
             found = predict_tracking(
                 model.A, model.B, model.C, sc, ca, gains_over(controller, model, sc, ca), controller.selection, r,
                 period_s=model.period_s, disturbance=w, samples=loop.samples, integral=controller_traits(controller).integrates,
-                initial=loop.chains.initial(), x0=x0, drive=drive, target=goal, tracked=tracked, sums_from=tuple(starts.values()),
+                state_gains=state_gains_within(controller, sc), initial=loop.chains.initial(), x0=x0, drive=drive,
+                target=goal, tracked=tracked, sums_from=tuple(starts.values()),
             )  # fmt: skip
             for (name, start), mean, sd in zip(starts.items(), found.sum_mean, found.sum_sd):
                 title = "whole run" if name == "sse" else f"from {AFTER_S:g} s on"

@@ -199,8 +199,7 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     said = [f"{name} is a Controller: it can run in a loop"]
     if isinstance(controller, GainTable):
         check_table(controller, model)
-        alone = "" if controller_traits(controller).state_gains else ", and its error is predicted"
-        said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly{alone}")
+        said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly, and its error is predicted")
     if isinstance(controller, LinearFeedback | AgedFeedback):
         kind = "LinearFeedback" if isinstance(controller, LinearFeedback) else "AgedFeedback"
         said.append(f"{name} is a {kind}: linear with states of its own, and its loop over delay chains is certified")
@@ -239,7 +238,7 @@ def check_table(controller: GainTable, model: LoopModel) -> None:
     if its.state_gains:
         own = asked("state_gains", lambda: np.asarray(its.state_gains, dtype=float))
         expected = (len(table), its.order, width)
-        assert own.shape == expected and not its.integrates, f"state_gains of shape {own.shape}, expected {expected}, no integral"
+        assert own.shape == expected, f"state_gains of shape {own.shape}, expected {expected}"
         assert np.isfinite(own).all(), "state_gains: a gain is not finite"
 
 

@@ -28,6 +28,10 @@ EXACT = ("reference.0.at=0.2", "duration=4s")  # the motor's reference of 3.0 is
 CLAMPED = (
     f"controller={{kind='send-all',selection='constant',integral=true,integral_limit=[0.7],gains={[[[[-0.1, -0.01]]]] * 3}}}"
 )
+REMEMBERS = (
+    "controller={kind='send-all',selection='constant',integral=true,integral_limit=[0.7],"
+    f"gains={[[[[-0.1, -0.01, 0.1]]]] * 3},state_gains={[[[0.3 - 0.1 * tau, 0.05, 0.2]] for tau in range(3)]}}}"
+)
 
 
 def loop_of(name: str, *changes: str) -> Loop:
@@ -62,6 +66,7 @@ def answered(
         ("dc-motor-ours-two-samples", EXACT),
         ("dc-motor-ours-integral", EXACT),
         ("dc-motor-hinf", (*EXACT, CLAMPED)),
+        ("dc-motor-hinf", (*EXACT, REMEMBERS)),
         ("dc-motor-ours-memory", EXACT),
         ("dc-motor-ours-bursty", EXACT),  # gains by the sojourn time
         ("dc-motor-ours-stays", (*EXACT, "reference.0.value=[0.25]")),  # rows by the stay of d

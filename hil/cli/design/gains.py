@@ -141,12 +141,13 @@ def _show(design: Design, document: dict[str, Any], unit: str) -> None:
         ]
         print_table(Table(title=title, columns=["tau", *heads], rows=rows))
 
-    known = "all outputs, then the controller's own state," if problem.order else "all outputs"
-    order = f"; in a row {known} for the first input, then the next" if several else ""
+    sums, states = ["the sums of their errors"] * (problem.integral > 0), ["the controller's own state"] * (problem.order > 0)
+    known = ", then ".join(["all outputs", *sums, *states])
+    order = f"; in a row {known}{',' * bool(sums + states)} for the first input, then the next" if several else ""
     table(f"gains K[tau][row] in {unit}, row by {design.selection!r}{order}", map(heading, range(K.shape[1])), K)
     if problem.order:
         heads = (f"state {i + 1}" for i in range(problem.order))
-        table("what makes the controller's own state of the next slot, of all outputs, then that state", heads, state_gains)
+        table(f"what makes the controller's own state of the next slot, of {known}", heads, state_gains)
     bounds = document["lower_bounds"]
     lines = [
         ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),

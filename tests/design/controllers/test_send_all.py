@@ -37,7 +37,6 @@ def test_a_state_of_its_own_goes_on_by_the_gains_of_the_age() -> None:
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"state_gains": (((1.0, 0.5),),), "integral": True}, "state_gains: a table with a state of its own has no integral"),
         ({"state_gains": (((1.0, 0.5), (1.0, 0.5)),)}, r"state_gains: shape \[1, 2, 2\], expected \[1\]\[c\]\[2\]"),
         ({"state_gains": (((1.0,),),)}, r"state_gains: shape \[1, 1, 1\], expected"),
         ({"state_gains": (((1.0, 0.5),), ((1.0, 0.5),))}, r"state_gains: shape \[2, 1, 2\], expected"),

@@ -205,20 +205,22 @@ def test_wrong_arguments_are_refused_by_name():
 
 
 @pytest.mark.parametrize(
-    ("gain", "integral", "errors"),
+    ("gain", "integral", "own", "errors"),
     [
-        ([0.0], False, [-1.0, -1.0, -1.0, -0.5, -0.25]),  # u* = 1/2, but for the slots in which nothing has come yet
-        ([0.0, -0.1], True, [-1.0, -1.0, -1.0, -0.5, -0.15, 0.125]),  # u = u* - xi/10: the first known error adds in slot 2
+        ([0.0], False, [], [-1.0, -1.0, -1.0, -0.5, -0.25]),  # u* = 1/2, but for the slots in which nothing has come yet
+        ([0.0, -0.1], True, [], [-1.0, -1.0, -1.0, -0.5, -0.15, 0.125]),  # u = u* - xi/10: the first known error adds in slot 2
+        ([0.0, -0.1], False, [1.0, 1.0], [-1.0, -1.0, -1.0, -0.5, -0.15, 0.125]),  # the same sum, as a state of its own
+        ([0.0, -0.1, 0.2], True, [0.5, 1.0, 0.5], [-1.0, -1.0, -1.0, -0.5, -0.25, -0.275]),
     ],
 )
 def test_before_the_first_sample_has_come_the_input_is_zero_and_nothing_is_added(
-    gain: list[float], integral: bool, errors: list[float]
+    gain: list[float], integral: bool, own: list[float], errors: list[float]
 ) -> None:
     """x(k+1) = x(k)/2 + u(k), r = 1."""
     two_late, gains = DelayChain(transition=[[0, 1, 0], [0, 0, 1], [0, 0, 1]]), np.tile(gain, (3, 1, 1, 1))
     found = predict_tracking(
         [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], gains, "constant", np.ones(len(errors)), period_s=0.1, integral=integral,
-        initial=([0, 0, 1], [1]),
+        initial=([0, 0, 1], [1]), state_gains=np.tile(own, (3, 1, 1)) if own else (),
     )  # fmt: skip
     assert found.error_mean[:, 0] == pytest.approx(errors)
 

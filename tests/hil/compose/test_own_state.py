@@ -14,7 +14,6 @@ from design.controllers import LoopModel, SendAll, controller_traits
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.measure.prediction import predict
 from hil.plugins.checks import check_table
 from hil.rig.loop import Loop
 from hil.rig.loop_chains import loop_chains
@@ -44,7 +43,16 @@ def test_what_runs_is_certified_and_a_state_that_goes_on_otherwise_is_not(shippe
     assert again is not None and again.number == shipped.verdict.number
     turned = loop_of(controller, -np.array(controller.state_gains)).verdict
     assert turned is not None and turned.state == "refused"
-    assert predict(shipped, 20) is None  # the theory of the error knows no state of the controller
+
+
+def test_an_integral_beside_a_state_is_certified_and_with_a_clamp_undecided() -> None:
+    table = "controller={kind='designed', order=1, integral=0.01, reference_weight=3}"
+    whole = compose(load_experiment(NAME, [table, "duration=1"]))
+    clamp = "controller.integral_limit=[5.0]"
+    clamped = compose(load_experiment(NAME, [table, "duration=1", clamp, "allow_uncertified=true"]))
+    assert isinstance(whole.controller, SendAll) and np.shape(whole.controller.state_gains) == (3, 1, 3)
+    assert whole.verdict is not None and clamped.verdict is not None and whole.verdict.certified
+    assert clamped.verdict.state == "undecided" and "a clamped integral beside a state" in clamped.verdict.reason
 
 
 def test_ages_are_distinguished_that_the_state_alone_knows(shipped: Loop) -> None:

@@ -60,6 +60,22 @@ def test_first_state_and_loads_are_in_the_prediction(name: str, changes: list[st
     assert_predicted(name, ["duration=12 s", *changes])
 
 
+@pytest.mark.parametrize("integral", ["0", "0.01"])
+def test_a_state_of_the_controllers_own_is_in_the_prediction_from_its_first_sample_on(integral: str) -> None:
+    """The first sample comes up to two slots late; until then the state stays, and the sum beside it."""
+    own = f"controller={{kind='designed', order=1, reference_weight=3, input_weight=0.5, integral={integral}}}"
+    changes = [own, "reference.0.at=0.1", "plant.initial_angle_rad=1.0", "duration=4 s", "limits={}"]
+    assert_predicted("dc-motor-ours-memory", changes)
+
+
+def test_more_moments_than_are_computed_are_none() -> None:
+    """Nine states were a prediction of 1.2 GB."""
+    gains, own = np.full((3, 2, 1, 13), -0.01), np.full((3, 12, 13), 0.01)
+    table = f"controller={{kind='send-all', gains={gains.tolist()}, state_gains={own.tolist()}}}"
+    loop = compose(load_experiment("dc-motor-ours-memory", [table]), certify=False)
+    assert predict(loop, 40) is None
+
+
 def test_the_samples_before_slot_0_are_the_first_one() -> None:
     """Half a second, before anything has died out: the sample that the first packet repeats is most of what is seen."""
     changes = ["duration=0.5 s", "reference.0.at=0.4", "disturbance=[]", "plant.initial_angle_rad=2.0"]
@@ -92,8 +108,8 @@ def test_every_shipped_experiment_has_a_known_answer() -> None:
 WHOLE = [
     "dc-motor-1khz", "dc-motor-5g", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-hinf",
     "dc-motor-hinf-fast", "dc-motor-local-fast", "dc-motor-ours-bursty", "dc-motor-ours-h2", "dc-motor-ours-hinf",
-    "dc-motor-ours-mixed", "dc-motor-ours-stays", "dc-motor-ours-two-samples", "dc-motor-packets", "dc-motor-two-nodes",
-    "dc-motor-wifi", "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf",
+    "dc-motor-ours-memory", "dc-motor-ours-mixed", "dc-motor-ours-stays", "dc-motor-ours-two-samples", "dc-motor-packets",
+    "dc-motor-two-nodes", "dc-motor-wifi", "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf",
 ]  # fmt: skip
 SHORT = {"dc-motor-local": "2 s"}
 """Not mean-square stable: safety stops its runs later on, and a mean is made of the rarest ones."""
