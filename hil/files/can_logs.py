@@ -65,7 +65,8 @@ def _frames(path: Path) -> Iterator[can.Message]:
                 yield from can.CanutilsLogReader(_Lines(file))  # type: ignore[arg-type]
     except (OSError, ValueError, ArithmeticError, LookupError, EOFError, struct.error, zlib.error, can.CanError,
             can.io.blf.BLFParseError) as e:  # fmt: skip
-        raise HilError(f"{path}: is no CAN log: {str(e) or type(e).__name__:.200}") from e
+        wanted = "; expected lines as `candump -L can0` prints them: (12.345678) can0 123#1122" if path.suffix == ".log" else ""
+        raise HilError(f"{path}: is no CAN log: {str(e) or type(e).__name__:.200}{wanted}") from e
 
 
 class _Lines(io.TextIOBase):

@@ -131,12 +131,15 @@ def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
     separator = ";" if lines and ";" in lines[0] else ","
     rows, found = csv.DictReader(lines, delimiter=separator), []
     try:
-        unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
-        missing = {"can_id", "period"} - set(rows.fieldnames or ())
+        names = list(rows.fieldnames or ())
+        unknown = set(names) - set(TrafficTable.__struct_fields__)
+        missing = {"can_id", "period"} - set(names)
         if unknown or missing:
             known = ", ".join(TrafficTable.__struct_fields__)
             said = f"no column {min(missing)!r}" if missing else f"an unknown column {min(unknown, key=str)!r}"
             raise HilError(f"{path}: line 1: {said}, expected some of {known}")
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise HilError(f"{path}: line 1: two columns are called {twice!r}, expected one")
         for row in rows:
             found.append(_table({key: value.strip() for key, value in row.items() if value and value.strip()}))
     except csv.Error as error:  # of the head, too
@@ -184,6 +187,8 @@ def _of_dbc(path: Path, text: str) -> tuple[tuple[TrafficTable, ...], tuple[str,
 
 
 MOST: Final = 100_000
+LONGEST_S: Final = 1e9
+"""Of a recording: a line has its time in ns, of at most 18 digits."""
 _LINE: Final = r"(\d{1,18}) ([0-9A-F]{3}|[0-9A-F]{8})(#R([0-8]?)|##([0-3])([0-9A-F]*)|#([0-9A-F]*))"
 
 
@@ -231,7 +236,9 @@ def read_recorded(path: Path) -> list[str]:
         raise HilError(f"{path}: no frame")
     if len(found) > 1 and all(at == found[0][0] for at, _ in found):
         raise HilError(f"{path}: every frame has the time stamp {found[0][0]:g}; a recording with time stamps is needed")
-    first = min(at for at, _ in found)
+    first, last = min(at for at, _ in found), max(at for at, _ in found)
+    if not last - first < LONGEST_S:
+        raise HilError(f"{path}: frames lie {last - first:g} s apart, expected less than {LONGEST_S:g}; are these two clocks?")
     return [line_of(round((at - first) * 1e9), frame) for at, frame in sorted(found, key=lambda each: each[0])]
 
 

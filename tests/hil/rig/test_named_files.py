@@ -21,6 +21,8 @@ FRAMES = "(10.004000) can0 123#1122\n(10.000000) can0 18FF0001#R2\n(10.001000) c
         ("(1e400) can0 123#11\n", "frame 1: inf is no instant, expected seconds below 1e"),
         ("(1.0) can0 123#11\n(1.0) can0 124#11\n", "every frame has the time stamp 1; a recording with time stamps is needed"),
         (FRAMES + "(10.005000) can0 123#1122\n", "more than 3 frames"),
+        ("(1.0) can0 123#11\n(1.7e9) can0 124#11\n", r"frames lie 1\.7e\+09 s apart, expected less than 1e\+09; are"),
+        ("  can0  123   [1]  11\n", "is no CAN log: .*; expected lines as `candump -L can0` prints them"),
     ],
 )
 def test_a_recording_that_is_none_is_refused(text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -240,6 +240,7 @@ def test_traffic_is_read_from_a_table_and_from_a_dbc_and_stands_in_the_resolved_
     [
         ("name,can_id\nx,1\n", "line 1: no column 'period'"),
         ("can_id,period,speed\n1,1,1\n", "line 1: an unknown column 'speed'"),
+        ("can_id,period,can_id\n1,1,2\n", "line 1: two columns are called 'can_id', expected one"),
         ("can_id,period\n0x800,1\n", "line 2: can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
         ("can_id,period\n1,1\nx,1\n", "line 3: can_id: 'x'"),
         ("can_id,period\n", "no message that is sent again and again"),
