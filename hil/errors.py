@@ -11,7 +11,7 @@ import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 
 class HilError(Exception):
@@ -42,6 +42,18 @@ class Terminated(KeyboardInterrupt):
 def exit_status(interrupt: KeyboardInterrupt) -> int:
     """Return the exit status on the command line: 130 of Ctrl-C."""
     return interrupt.status if isinstance(interrupt, Terminated) else 130
+
+
+def warn_in_one_line() -> None:
+    """Let a warning of ours be its text alone from now on: no user of a command wrote the line of Python that it would name."""
+    import warnings  # beside a run of Python alone
+
+    plain = warnings.formatwarning
+
+    def format_warning(message: Warning | str, *where: Any, **more: Any) -> str:
+        return f"{message}\n" if str(message).startswith("hil: ") else plain(message, *where, **more)
+
+    warnings.formatwarning = format_warning
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from hil.cli.guard import Guard, signals_as_exceptions
-from hil.errors import HilError, collect_garbage_again, exit_status, is_message, nearest, pass_over_signals
+from hil.errors import HilError, collect_garbage_again, exit_status, is_message, nearest, pass_over_signals, warn_in_one_line
 from hil.plugins import WATCH, ProcessState, refuse_shadowed_packages
 
 COMMANDS = {
@@ -54,6 +54,10 @@ COMMANDS = {
     "doctor": ("doctor:command", "Check what this machine offers, with the remedy."),
 }
 """Name of a command to the function that it is, in a file of this folder, and one line about it. A new command is a line here."""
+
+
+PRINTING = ("check", "discover", "doctor", "guide", "licences", "list", "schema", "show")
+"""Commands of which nothing is left but what they print."""
 
 
 def command_of(name: str) -> click.Command:
@@ -137,6 +141,7 @@ def guarded_main() -> Any:
     atexit.register(pass_over_signals)  # the first, and so the last that runs
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error: a locale without a sign of ours ends no command
+    warn_in_one_line()
     guard = Guard(ProcessState.now())
     WATCH.set(guard)
     status = 1
@@ -172,9 +177,11 @@ def main(args: list[str] | None = None) -> Any:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     words = sys.argv[1:] if args is None else args
-    if sys.stdout is None and "--json" in words[: words.index("--") if "--" in words else None]:  # `hil ... --json >&-`
-        print("hil: --json writes to standard output, which is closed; nothing was run", file=sys.stderr)
-        sys.exit(2)
+    if sys.stdout is None:  # `hil ... >&-`
+        ours = words[: words.index("--") if "--" in words else None]
+        if prints := "--json" if "--json" in ours else next((word for word in ours[:1] if word in PRINTING), ""):
+            print(f"hil: {prints} writes to standard output, which is closed; nothing was run", file=sys.stderr)
+            sys.exit(2)
     if asked := os.environ.get("_HIL_COMPLETE"):
         from hil.cli.completion import completion_fault
 

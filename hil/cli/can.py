@@ -55,6 +55,7 @@ def analyse(
     TRAFFIC is a table of messages, .csv or .dbc; an EXPERIMENT has a medium of kind can. The exit status is 0 also where a
     message may miss its deadline.
     """
+    from hil.experiment import load_experiment
     from hil.files import check_page
     from hil.files.can_logs import CAN_LOG_ENDINGS
     from hil.pages.designs import bus_page
@@ -72,6 +73,7 @@ def analyse(
         found = _of_traffic(Path(target), bitrate, dbitrate, duration, bursts)
     else:
         if bitrate is not None or dbitrate is not None:
+            load_experiment(target)  # what is none has a message of its own
             raise HilError(f"--bitrate: is for messages in a .csv or .dbc; change that of {target} by --set "
                            "network.media.NAME.bitrate=500000")  # fmt: skip
         found = _of_experiment(target, sets, duration, bursts)
@@ -108,7 +110,7 @@ def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, res
     except (can.CanError, OSError) as error:
         if str(error).startswith("hil:"):
             raise HilError(str(error).removeprefix("hil: ")) from error
-        raise HilError(f"{interface}: {error}; is it there and up? `hil vcan -- COMMAND` has a vcan0") from error
+        raise HilError(f"interface {interface!r}: {error}; is it there and up? `hil vcan -- COMMAND` has a vcan0") from error
 
 
 def _of_traffic(path: Path, bitrate: str | None, dbitrate: str | None, seconds: float, errors: ErrorBursts | None) -> BusAnalysis:

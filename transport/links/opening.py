@@ -43,7 +43,8 @@ def find_link(uri: str) -> Point:
         raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")
     if scheme not in found:
         near = nearest(scheme, found)
-        hint = f"did you mean '{near}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
+        own = "python-can's are can:INTERFACE:CHANNEL, such as can:udp_multicast:239.74.163.2; an own one is an entry point"
+        hint = f"did you mean '{near}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}; {own}"
         raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
     if scheme in FORMS:
         key_file(uri)

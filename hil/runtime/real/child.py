@@ -18,7 +18,7 @@ from importlib import import_module
 from math import inf
 from typing import IO, Final
 
-from hil.errors import collect_garbage_again
+from hil.errors import collect_garbage_again, warn_in_one_line
 from hil.runtime.clock import monotonic_ns
 
 PYTHON: Final = (sys.executable, "-P")
@@ -148,6 +148,7 @@ def run_job(module: str, folders: Sequence[str]) -> None:
     """
     gc.disable()  # to look for garbage among modules takes a tenth of its start
     sys.path.extend(folder for folder in folders if folder not in sys.path)
+    warn_in_one_line()
     run = import_module(module).main
     collect_garbage_again()
     try:

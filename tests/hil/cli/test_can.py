@@ -159,9 +159,11 @@ def test_a_dbc_of_no_experiment_takes_no_link() -> None:
 
 
 def test_a_bridge_to_an_interface_that_is_not_there_and_impossible_rates_are_refused() -> None:
-    for rate, said in (("501k", "bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is 500000"),
-                       ("500k", "vcan9: ")):  # fmt: skip
+    for rate, name, said in (
+        ("501k", "vcan9", "bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is 500000"),
+        ("500k", "vcan9", "interface 'vcan9': "), ("500k", "vcan9\n", r"interface 'vcan9\n': "), ("500k", "", "interface '': "),
+    ):  # fmt: skip
         with pytest.raises(HilError) as caught:
-            words = ["bridge", "cli", "vcan9", "--bitrate", rate]
+            words = ["bridge", "cli", name, "--bitrate", rate]
             CliRunner().invoke(can_command, words, catch_exceptions=False, standalone_mode=False)
         assert said in str(caught.value) and ("is it there and up?" in str(caught.value)) is (rate == "500k")

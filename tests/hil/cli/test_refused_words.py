@@ -33,6 +33,7 @@ FD = "name,can_id,length,period,fd\na,1,12,10 ms,true\n"
         )),
         (("can", "analyse", "car.dbc", "--set", "period=1"), "--set: car.dbc is no experiment"),
         (("can", "analyse", "dc-motor-busy-can", "--bitrate", "500k"), "--bitrate: is for messages in a .csv or .dbc"),
+        (("can", "analyse", "nosuch", "--bitrate", "500k"), "no experiment 'nosuch'"),
         (("can", "analyse", "dc-motor-busy-can", "--dbitrate", "2M"), "--bitrate: is for messages in a .csv or .dbc"),
         (("can", "analyse", "dc-motor-h2"), "dc-motor-h2: no medium of kind 'can'"),
         (("can", "analyse", "dc-motor-busy-can", "--set", 'network.media.bus.recorded=["1 123#11"]'),

@@ -201,6 +201,14 @@ def test_json_for_a_closed_output_runs_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "a.mcap").exists()
 
 
+@pytest.mark.parametrize("word", ["list", "guide"])
+def test_a_command_that_only_prints_says_that_its_output_is_closed(word: str, tmp_path: Path) -> None:
+    words = f"{sys.executable} -m hil {word} >&-"
+    done = subprocess.run(["sh", "-c", words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    said = f"hil: {word} writes to standard output, which is closed; nothing was run\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
 def test_a_working_folder_that_is_gone_is_said(tmp_path: Path) -> None:
     (tmp_path / "gone").mkdir()
     words = f"cd {tmp_path}/gone; rmdir {tmp_path}/gone; exec {sys.executable} -m hil run e.toml"
