@@ -38,6 +38,10 @@ from plants.parts.protocols import MovesOtherwise, Plant
 Array = NDArray[np.float64]
 FAMILY = "one quadratic family per mode, over the ends of the intervals and all plants between (semidefinite program)"
 GROWTH = "largest factor by which the family grows in a slot"
+NOMINAL_STEP = (
+    "a step of the reference counts in the norms as that of the nominal plant; the offset that another plant keeps after it is in"
+    " none of them"
+)
 GRID = {1: 33, 2: 13, 3: 7}
 """Points per parameter, by the number of parameters."""
 
@@ -229,6 +233,7 @@ def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[
         assumptions=(
             f"the plant between two of {len(found.changes)} computed ones changes as smoothly as they do",
             "no packet is later than its law says", "no limit trips",
+            *([NOMINAL_STEP] if design.problem.reference_weight and details["h2_norm"] is not None else []),
         ),
     )  # fmt: skip
     return on_plant(target, verdict)

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from msgspec import structs
 
+from design.networked_loop.certify import certify_structure
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import LocalDesigned, solve_tracking
 from design.tracking.synthesis import certified
@@ -59,6 +60,22 @@ def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
     louder = structs.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
     states = [judge_uncertain(target, louder, [interval(target.of, f"gain={width}%")]).state for width in (20, 50)]
     assert states == ["undecided", "refused"]
+
+
+def test_a_step_of_the_reference_counts_as_that_of_the_nominal_plant_and_the_verdict_says_so():
+    """Of a plant at an end the norm of this deviation is below the guaranteed one; its own step would leave an offset."""
+    target = tracking_target("dc-motor")
+    design = solve_tracking(problem_for(target, starts=1, order=1, R=0.5, reference_weight=3.0))
+    width = interval(target.of, "gain=4%")
+    verdict, nominal = judge_uncertain(target, design, [width]), design.problem.structure()
+    assert verdict.certified and plant_uncertainty.NOMINAL_STEP in verdict.assumptions
+    assert plant_uncertainty.NOMINAL_STEP not in judge_uncertain(*plain_design(), [width]).assumptions
+    for change in plants_between(target, design, [width]).ends:
+        A, B = np.hsplit(np.hstack([target.A, target.B]) + change, [len(target.A)])
+        structure = dataclasses.replace(design.problem, A=A, B=B).structure()
+        driven = structs.replace(structure, B=np.append(structure.B[:, :, :1], nominal.B[:, :, 1:], axis=2))
+        found = certify_structure(driven, design.gains, output="stacked")
+        assert design.certificate.h2_norm != found.h2_norm < verdict.details["h2_norm"]
 
 
 def test_one_family_decides_where_the_small_gain_theorem_proves_less():
