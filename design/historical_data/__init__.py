@@ -11,7 +11,7 @@ random one. Everything that follows from Lyapunov equations is exact.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -82,6 +82,37 @@ class DelayedPlant:
             B[:n] = self.B
         weight[:n, :n] = self.weight
         return A, B, weight, np.zeros((p, p)) if self.input_weight is None else self.input_weight
+
+    def with_ages(self, memory: int, ages: npt.NDArray[np.int64]) -> tuple[Array, Array, Array, Array, Array]:
+        r"""Return A~_i, B~_i, Xi~, E_i and F_i where the command that acts is of another age in every phase i.
+
+        It is one of those under way or, where none has come, what acted in the slot before, which is the last entry of the state:
+        v(k) = E_i X(k) + F_i u(k).
+
+        Args:
+            memory: as of `matrices`.
+            ages: of the command that acts, (phases,), slots; -1 where the actuator holds what acted before.
+        """
+        n, p = self.B.shape
+        first, oldest = n * (memory + 1), max(int(ages.max()), 0)
+        size = first + p * (oldest + 1)  # the commands under way, then what acted before
+        A, B, E, F = (np.zeros((len(ages), *shape)) for shape in ((size, size), (size, p), (p, size), (p, p)))
+        A[:, :first, :first] = replace(self, input_delay=0).matrices(memory)[0]
+        under_way = slice(first, first + p * oldest)
+        A[:, under_way, under_way] = np.eye(p * oldest, k=-p)
+        B[:, first : first + p] = np.eye(p) if oldest else 0.0
+        for i, age in enumerate(ages.tolist()):
+            if age == 0:
+                F[i] = np.eye(p)
+            else:
+                at = size - p if age < 0 else first + p * (age - 1)
+                E[i, :, at : at + p] = np.eye(p)
+        for rows, M in ((slice(n), self.B), (slice(size - p, size), np.eye(p))):
+            A[:, rows] += M @ E
+            B[:, rows] += M @ F
+        weight = np.zeros((size, size))
+        weight[:n, :n] = self.weight
+        return A, B, weight, E, F
 
 
 class LiftedLoop(Struct, frozen=True, kw_only=True, eq=False):
@@ -159,8 +190,9 @@ class LiftedLoop(Struct, frozen=True, kw_only=True, eq=False):
 
 
 def close(
-    plant: DelayedPlant, gains: Array, transition: Array | None = None, *, renewed: npt.NDArray[np.bool_] | None = None
-) -> LiftedLoop:
+    plant: DelayedPlant, gains: Array, transition: Array | None = None, *, renewed: npt.NDArray[np.bool_] | None = None,
+    ages: npt.NDArray[np.int64] | None = None,
+) -> LiftedLoop:  # fmt: skip
     """Return the loop (5.5) of a plant under gains.
 
     Args:
@@ -168,17 +200,23 @@ def close(
         gains: K, (phases, memory + 1, p, n): u(k) = sum_j K[i, j] x(k - j), and K[i, memory + 1] h(k) where ``renewed`` is given.
         transition: chain of the phases; default the cycle (5.2).
         renewed: (phases, n), whether a held sample h_l becomes x_l(k - memory), the last entries of the state; default none held.
+        ages: of the command that acts, (phases,), as of `DelayedPlant.with_ages`; default the plant's own in every phase.
     """
     phases, columns, p, n = gains.shape
     columns -= renewed is not None
-    A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
-    K = np.zeros((phases, p, A.shape[0]))
+    memory = max(columns - 1, plant.memory)
+    A, B, weight, input_weight = plant.matrices(memory)
+    if ages is not None:
+        A, B, weight, E, F = plant.with_ages(memory, ages)
+    K = np.zeros((phases, p, A.shape[-1]))
     K[:, :, : n * columns] = gains[:, :columns].transpose(0, 2, 1, 3).reshape(phases, p, n * columns)
     if renewed is not None:
         A, more = with_held(A, renewed, n * (columns - 1)), ((0, n), (0, 0))
-        B, weight, K = np.pad(B, more), np.pad(weight, (0, n)), np.concatenate([K, gains[:, columns]], axis=2)
+        B, weight = np.pad(B, (*((0, 0),) * (B.ndim - 2), *more)), np.pad(weight, (0, n))
+        K = np.concatenate([K, gains[:, columns]], axis=2)
     L = A + B @ K
-    Q = weight + K.transpose(0, 2, 1) @ input_weight @ K
+    acts = K if ages is None else np.pad(E, ((0, 0), (0, 0), (0, K.shape[2] - E.shape[2]))) + F @ K
+    Q = weight + acts.transpose(0, 2, 1) @ input_weight @ acts
     return LiftedLoop(L=L, Q=Q, transition=cycle(phases) if transition is None else np.asarray(transition, dtype=float))
 
 

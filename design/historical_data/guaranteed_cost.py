@@ -8,7 +8,7 @@ What the controller received is not what the plant was: every sample carries one
 sample; before slot 0 nothing was received. With Y(k) = (y(k), ..., y(k - tau)), y(k) = x(k) + v(k) from slot 0 on and 0 before,
 the pair (X, Y) is jump-linear:
 
-.. math:: X(k+1) = \tilde A X(k) + \tilde B K_i Y(k), \qquad P_j(k+1) = \sum_i p_{ij} F_i P_i(k) F_i^T + \pi_j(k+1) W
+.. math:: X(k+1) = \tilde A X(k) + \tilde B K_i Y(k), \qquad P_j(k+1) = \sum_i p_{ij} Fi P_i(k) Fi^T + \pi_j(k+1) W
 
 DEVIATION: Theorem 5.1 bounds J by a functional that is block diagonal in the past; its conditions are infeasible on the chapter's
 own example (see `design.as_printed.chapters_5_and_6`). The Lyapunov equation on the stacked state is necessary and sufficient.
@@ -25,6 +25,7 @@ from design.historical_data import Array, DelayedPlant, LiftedLoop, close, cycle
 from design.verdict import Verdict
 
 Renewed = npt.NDArray[np.bool_] | None
+Ages = npt.NDArray[np.int64] | None
 
 
 class Start(Struct, frozen=True, kw_only=True, eq=False):
@@ -78,6 +79,7 @@ def certify_cost(
     history: Array | None = None,
     deviation: Array | None = None,
     renewed: Renewed = None,
+    ages: Ages = None,
 ) -> Verdict:
     """Return the verdict on scheduled gains: the growth of E|X|^2 per slot, and the cost.
 
@@ -90,8 +92,9 @@ def certify_cost(
         deviation: standard deviation of the noise on every state, (n,); default none. The cost is without it, and its own
             long-run cost per slot is beside.
         renewed: (phases, n), as of `design.historical_data.close`; the gains then have a column more.
+        ages: (phases,), as of `design.historical_data.close`.
     """
-    loop = close(plant, gains, transition, renewed=renewed)
+    loop = close(plant, gains, transition, renewed=renewed, ages=ages)
     past, noisy = history is not None and bool(np.any(history[1:])), deviation is not None and bool(np.any(deviation))
     radius = loop.radius()
     margin = 64 * loop.L.shape[-1] * float(np.finfo(float).eps)
@@ -103,10 +106,10 @@ def certify_cost(
             details["cost"] = start.mean(S)
             details["residual"] = _residual(loop, S)
             if history is not None:
-                run, first = run_from(plant, gains, history, transition, renewed)
+                run, first = run_from(plant, gains, history, transition, renewed, ages)
                 details["cost"] = Start(moment=np.outer(first, first), phases=start.phases).mean(run.stable_cost_to_go())
             if noisy and deviation is not None:
-                details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases, renewed)
+                details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases, renewed, ages)
         except NotStable:
             stable = False
     return Verdict(
@@ -129,20 +132,25 @@ def _residual(loop: LiftedLoop, S: Array) -> float:
     return float(np.abs(gap).max() / np.abs(S).max())
 
 
-def close_received(plant: DelayedPlant, gains: Array, transition: Array | None = None, renewed: Renewed = None) -> LiftedLoop:
+def close_received(
+    plant: DelayedPlant, gains: Array, transition: Array | None = None, renewed: Renewed = None, ages: Ages = None
+) -> LiftedLoop:
     """Return the loop on (X, Y), with u = K Y, or on (X, Y, h), with u = K (Y, h).
 
     Args:
         plant: the plant and its weights.
         gains: (phases, memory + 1, p, n).
         transition: chain of the phases; default the cycle.
-        renewed: (phases, n), as of `design.historical_data.close`.
+        renewed, ages: as of `design.historical_data.close`.
     """
     phases, columns, p, n = gains.shape
     K = gains.transpose(0, 2, 1, 3).reshape(phases, p, columns * n)
     columns -= renewed is not None
-    A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
-    size, received = len(A), columns * n
+    memory = max(columns - 1, plant.memory)
+    A, B, weight, input_weight = plant.matrices(memory)
+    if ages is not None:
+        A, B, weight, under_way, at_once = plant.with_ages(memory, ages)
+    size, received = A.shape[-1], columns * n
     F = np.zeros((phases, size + received, size + received))
     F[:, size + n :, size:-n] = np.eye(received - n)
     if renewed is not None:
@@ -151,12 +159,17 @@ def close_received(plant: DelayedPlant, gains: Array, transition: Array | None =
     F[:, :size, :size], F[:, :size, size:] = A, B @ K
     F[:, size : size + n] = F[:, :n]
     Q[:, :size, :size], Q[:, size:, size:] = weight, K.transpose(0, 2, 1) @ input_weight @ K
+    if ages is not None:
+        acts = np.concatenate([under_way, at_once @ K], axis=2)
+        Q[:, size:, size:] = 0.0
+        Q += acts.transpose(0, 2, 1) @ input_weight @ acts
     return LiftedLoop(L=F, Q=Q, transition=cycle(phases) if transition is None else np.asarray(transition, dtype=float))
 
 
 def run_from(
-    plant: DelayedPlant, gains: Array, history: npt.ArrayLike, transition: Array | None = None, renewed: Renewed = None
-) -> tuple[LiftedLoop, Array]:
+    plant: DelayedPlant, gains: Array, history: npt.ArrayLike, transition: Array | None = None, renewed: Renewed = None,
+    ages: Ages = None,
+) -> tuple[LiftedLoop, Array]:  # fmt: skip
     """Return the loop of `close_received` and (X, Y) in slot 0, from a history that acts on the plant and was not received.
 
     Args:
@@ -164,9 +177,9 @@ def run_from(
         gains: (phases, memory + 1, p, n).
         history: x(0), x(-1), ..., at most as many as the plant has delayed states and one, (h, n).
         transition: chain of the phases; default the cycle.
-        renewed: (phases, n), as of `design.historical_data.close`.
+        renewed, ages: as of `design.historical_data.close`.
     """
-    loop, known = close_received(plant, gains, transition, renewed), np.asarray(history, dtype=float)
+    loop, known = close_received(plant, gains, transition, renewed, ages), np.asarray(history, dtype=float)
     size, n = loop.L.shape[-1] - gains.shape[1] * gains.shape[3], known.shape[1]
     start = np.zeros(loop.L.shape[-1])
     start[: known.size], start[size : size + n] = known.ravel(), known[0]
@@ -180,6 +193,7 @@ def stationary_cost(
     transition: Array | None = None,
     phases: Array | None = None,
     renewed: Renewed = None,
+    ages: Ages = None,
 ) -> float:
     """Return E x' Xi x + u' Xi_u u per slot, in the mean over time, once the start is forgotten.
 
@@ -191,14 +205,14 @@ def stationary_cost(
         deviation: standard deviation of the noise, one number or one for each state, in its unit; independent over slots.
         transition: chain of the phases; default the cycle.
         phases: probability of each phase in slot 0, for a chain that does not forget it; default uniform.
-        renewed: (phases, n), as of `design.historical_data.close`.
+        renewed, ages: as of `design.historical_data.close`.
 
     Raises:
         NotStable: the covariance grows without end.
     """
-    if close(plant, gains, transition, renewed=renewed).radius() >= 1.0:
+    if close(plant, gains, transition, renewed=renewed, ages=ages).radius() >= 1.0:
         raise NotStable("the noise has no stationary covariance: the loop is not stable")
-    loop, count, n = close_received(plant, gains, transition, renewed), len(gains), len(plant.A)
+    loop, count, n = close_received(plant, gains, transition, renewed, ages), len(gains), len(plant.A)
     start = np.full(count, 1.0 / count) if phases is None else np.asarray(phases, dtype=float)
     share = start @ np.linalg.matrix_power(0.5 * (np.eye(count) + loop.transition), 2**20)  # a lazy chain has the same mean
     first = loop.L.shape[-1] - gains.shape[1] * n  # of Y

@@ -10,12 +10,31 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
-from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
+from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses, window_of
 from design.errors import FieldError
 from design.historical_data import Array, cycle
 
 Mask = npt.NDArray[np.bool_]
+
+
+class PhaseGains(Struct, frozen=True, kw_only=True, eq=False):
+    """Gains of every phase, and the chain of the phases.
+
+    Args:
+        gains: (phases, memory + 1, p, n); one column more, on what is held, where ``renewed`` is given.
+        transition: chain of the phases; None for the cycle.
+        start: probability of each phase in slot 0.
+        renewed: (phases, n), whether what is held becomes the oldest sample; None where nothing is held.
+        ages: (phases,), age of the command that acts, -1 where the one before acts on; None where it is the same in all.
+    """
+
+    gains: Array
+    transition: Array | None
+    start: Array
+    renewed: npt.NDArray[np.bool_] | None = None
+    ages: npt.NDArray[np.int64] | None = None
 
 
 def round_robin(states: int, *, buffer: int, delay: int = 0) -> SensorNodes:
@@ -148,3 +167,100 @@ def undecided_because(nodes: SensorNodes) -> str:
     if any(nodes.delays) and not _stationary(nodes.turns):
         return "the theory knows late packets of random turns where slot 0 is drawn from the chain's stationary distribution"
     return ""
+
+
+def window_mask(nodes: SensorNodes, window: PacketWindow, memory: int) -> Mask:
+    """Return which gains may differ from zero, (phases, memory + 1, outputs).
+
+    Args:
+        nodes: the sensor nodes, with one constant delay.
+        window: the outcomes that are distinguished.
+        memory: tau, the oldest sample that the controller uses.
+    """
+    delay = nodes.delays[0] or 0
+    known = np.zeros((window.phases, memory + 1, sum(map(len, nodes.outputs))), dtype=bool)
+    for i in range(window.phases):
+        for e, node in enumerate(window.outcomes(i)):
+            if node is not None:
+                known[i, delay + e : delay + e + nodes.buffers[node], list(nodes.outputs[node])] = True
+    return known
+
+
+def window_chain(window: PacketWindow) -> Array:
+    """Return the transition matrix of the phases, (phases, phases).
+
+    With the outcomes of w slots as the phase, the loop is jump-linear for every w: what each phase knows is fixed. Over random
+    turns a lost packet hides whose turn it was; the chain then stays exact for turns that are independent.
+    """
+    turns, base, count = window.turns, window.base, max(len(window.turns.order), 1)
+    chain = np.zeros((window.phases, window.phases))
+    for i in range(window.phases):
+        digits, turn = i // count, i % count
+        older = digits * base % base**window.length
+        for outcome, share in enumerate(_next(window, i)):
+            chain[i, (turn + 1) % count + count * (older + outcome) if turns.order else older + outcome] += share
+    return chain
+
+
+def _next(window: PacketWindow, phase: int) -> list[float]:
+    turns = window.turns
+    if turns.order:
+        return [1.0 - turns.loss, turns.loss]
+    last = window.outcomes(phase)[0]
+    row = turns.transition[0 if last is None else last]  # rows are alike where a loss hides the last node
+    received = [(1.0 - turns.loss) * p for p in row]
+    return [*received, turns.loss] if turns.loss else received
+
+
+def window_start(window: PacketWindow) -> Array:
+    """Return the distribution of the phases in slot 0, when packets take no slot."""
+    turns, start = window.turns, np.zeros(window.phases)
+    if turns.order:
+        start[turns.phase] = 1.0 - turns.loss
+        start[turns.phase + len(turns.order)] = turns.loss
+        return start
+    shares = [(1.0 - turns.loss) * p for p in turns.initial] + ([turns.loss] if turns.loss else [])
+    for outcome, share in enumerate(shares):
+        start[sum(outcome * window.base**e for e in range(window.length))] += share
+    return start
+
+
+def window_undecided(nodes: SensorNodes, window: PacketWindow) -> str:
+    """Return what about the last packets the theory does not know, empty if nothing."""
+    rows = window.turns.transition
+    if rows and window.turns.loss and any(row != rows[0] for row in rows):
+        return "a lost packet hides whose turn it was: the theory knows the last packets of random turns that are independent"
+    if any(nodes.delays):
+        return "the theory knows the last packets where they take no slot"
+    return ""
+
+
+def phase_gains(K: Array, nodes: SensorNodes, uses: Uses) -> PhaseGains:
+    """Return the gains of every phase.
+
+    Args:
+        K: (phases, memory + 1, p, n), as the controller has them.
+        nodes: the sensor nodes, for which `gains_undecided` is empty.
+        uses: what the controller looks at.
+    """
+    if uses == "last-packets" and nodes.turns is not None:
+        window = window_of(nodes.turns, len(K))
+        return PhaseGains(gains=K, transition=window_chain(window), start=window_start(window))
+    full = with_lost_turns(K, nodes).astype(np.float64)
+    return PhaseGains(gains=full, transition=phase_chain(nodes), start=phases_at_start(nodes, uses))
+
+
+def gains_undecided(K: Array, nodes: SensorNodes, uses: Uses) -> str:
+    """Return what about gains over these nodes is not known to the theory, empty if nothing; triggers are for the caller.
+
+    Args:
+        K: (phases, memory + 1, p, n), as the controller has them.
+        nodes: the sensor nodes.
+        uses: what the controller looks at.
+    """
+    unknown = undecided_because(nodes)
+    if unknown:
+        return unknown
+    if uses == "last-packets" and nodes.turns is not None:
+        return window_undecided(nodes, window_of(nodes.turns, len(K)))
+    return "a history with lost packets has more phases than turns" if uses == "history" and lossy(nodes.turns) else ""

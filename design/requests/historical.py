@@ -119,10 +119,15 @@ class HistoricalDesigned:
         return historical_of(K[:phases], uses)
 
     def _of_last_packets(self, plant: DelayedPlant, nodes: SensorNodes, x0: npt.NDArray[np.float64]) -> Historical:
-        from design.historical_data.gapped_history import window_chain, window_mask, window_start, window_undecided
         from design.historical_data.guaranteed_cost import Start
         from design.historical_data.least_cost import synthesise
-        from design.historical_data.sensor_schedule import undecided_because
+        from design.historical_data.sensor_schedule import (
+            undecided_because,
+            window_chain,
+            window_mask,
+            window_start,
+            window_undecided,
+        )
 
         if nodes.turns is None:
             raise FieldError("uses", "the last packets need nodes that take turns")

@@ -21,6 +21,7 @@ from hil.rig.missing_packets import waiting_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:
+    from design.historical_data.sensor_schedule import PhaseGains
     from design.processes.delay_chain import DelayChain
 
 
@@ -57,6 +58,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         port: force and position of a device under one force, None for another plant.
         slack: bound of the error of each output at the controller by dead-band triggers; empty: no node has one.
         shares: the same bound as a share of the output, by relative triggers; empty: no node has one.
+        history: gains over historical data in every phase of the network; what of it is not known, in words; None for others.
         steps: slot and value of every step of the reference.
         disturbance: slot and value of every change of the disturbance at the inputs; the last one ends it.
         taken_over: the plant's nominal model, where the controller was started over another plant and knows that one.
@@ -83,6 +85,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     port: Port | None = None
     slack: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
+    history: PhaseGains | str | None = None
     steps: tuple[tuple[int, tuple[float, ...]], ...] = ()
     disturbance: tuple[tuple[int, tuple[float, ...]], ...] = ()
     taken_over: LoopModel | None = None

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from design.controllers import HistoryGains, LoopModel, SensorNodes
-from design.controllers.sensor_nodes import Uses, window_of
+from design.controllers.sensor_nodes import window_of
 from design.verdict import Kind, Verdict
 from hil.certify import CertificationProblem, limited_to_model, undecided, why_no_history
 from hil.errors import HilError
@@ -21,12 +21,15 @@ from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStat
 
 if TYPE_CHECKING:
     from design.historical_data import DelayedPlant
-    from design.historical_data.gapped_history import PhaseGains
-    from design.historical_data.guaranteed_cost import Start
+    from design.historical_data.sensor_schedule import PhaseGains
     from design.processes.delay_chain import DelayChain
 
 
 KIND: Kind = "guaranteed cost"
+MOST_NUMBERS = 700_000
+"""In the matrices of all phases; a certificate of these takes some seconds."""
+MOST_SPREAD = 64
+"""Phases over which the variance of the cost is computed: it takes the fourth power of the order for each."""
 
 
 def delayed_plant_of(plant: Plant, model: LoopModel, ca: DelayChain | None = None) -> DelayedPlant | None:
@@ -51,8 +54,7 @@ def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
 
     Reference: thesis (5.8).
     """
-    from design.historical_data.gapped_history import window_mask
-    from design.historical_data.sensor_schedule import mask_of
+    from design.historical_data.sensor_schedule import mask_of, window_mask
 
     if None in nodes.delays:
         return []
@@ -83,7 +85,6 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     controller, nodes = loop.controller, loop.model.nodes
     if not isinstance(controller, HistoryGains):
         return None
-    from design.historical_data.gapped_history import gains_undecided, phase_gains
     from design.historical_data.guaranteed_cost import Start, certify_cost
 
     plant = delayed_plant_of(loop.plant, loop.motion)
@@ -95,24 +96,19 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         said = f"[plant] has {len(x0)} states, and its model {len(plant.A)}: what it costs from its first state is not known"
         return undecided(loop, KIND, said)
     least = _least_cost(loop.plant, plant, history)
-    K = loop.once("history", lambda: np.array(controller.history(), dtype=float))
-    unknown = gains_undecided(K, nodes, controller.uses, plant.memory)
-    if nodes.silent:
-        unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
-    if unknown:
-        return undecided(loop, KIND, unknown, least)
-    if loop.ca is None:
-        return undecided(loop, KIND, loop.no_chain(), least)
-    late = sorted(set(loop.ca.delay.tolist()))
-    if len(late) > 1:
-        said = f"network.ca: commands are {', '.join(map(str, late))} slots old when they act; gains over historical data are " \
-            'judged where each is as old as the last (law = { kind = "constant", age = ... })'
+    each = loop.history
+    if each is None or isinstance(each, str):
+        return undecided(loop, KIND, each or loop.no_chain(), least)
+    plant, each = with_commands(plant, each)
+    order = len(plant.A) * (max(each.gains.shape[1] - 1, plant.memory) + 2)
+    if (numbers := len(each.gains) * order**2) > MOST_NUMBERS:
+        said = f"what is known has {len(each.gains)} phases of {order} states: {numbers} numbers, at most {MOST_NUMBERS}"
         return undecided(loop, KIND, said, least)
-    plant = replace(plant, input_delay=loop.ca.max_delay)
-    each = phase_gains(K, nodes, controller.uses)
     noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None
     start = Start(moment=np.outer(x0, x0), phases=each.start)
-    verdict = certify_cost(plant, each.gains, start, each.transition, history=history, deviation=noise, renewed=each.renewed)
+    verdict = certify_cost(
+        plant, each.gains, start, each.transition, history=history, deviation=noise, renewed=each.renewed, ages=each.ages,
+    )  # fmt: skip
     lossy = nodes.turns is not None and nodes.turns.loss
     lost = "packets are lost on the medium as it states, and nowhere else" if lossy else "no packet is lost"
     calm = ["the cost is without disturbances"] * bool(loop.disturbance)
@@ -121,6 +117,13 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         assumptions=(*verdict.assumptions, *calm, lost, "no limit trips"),
     )  # fmt: skip
     return limited_to_model(loop.plant, known, knows_state_delays=True)
+
+
+def with_commands(plant: DelayedPlant, each: PhaseGains) -> tuple[DelayedPlant, PhaseGains]:
+    """Return the plant with its commands late by as many slots as they are in all phases, where it is one number."""
+    if each.ages is None or (ages := set(each.ages.tolist())) == {-1} or len(ages) > 1:
+        return plant, each
+    return replace(plant, input_delay=ages.pop()), msgspec.structs.replace(each, ages=None)
 
 
 def known_past(plant: Plant) -> Array:
@@ -159,12 +162,10 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     """
     from design.historical_data import close
     from design.historical_data.cost_bounds import arrivals_of, causal_bound, cost_moments, mean_full_state_bound
-    from design.historical_data.gapped_history import phase_gains
-    from design.historical_data.guaranteed_cost import run_from
-    from hil.rig.loop_chains import loop_chains
+    from design.historical_data.guaranteed_cost import Start, run_from
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
-    plant = delayed_plant_of(loop.experiment.plant, loop.model, loop_chains(loop.rig, loop.chains, controller, loop.model).ca)
+    plant = delayed_plant_of(loop.experiment.plant, loop.model)
     if not isinstance(controller, HistoryGains) or plant is None:
         raise HilError(
             f"{name}: hil design judges gains over historical data of a plant that measures its state; "
@@ -173,8 +174,10 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     if loop.verdict is None or not loop.verdict.certified:
         raise HilError(f"{name}: {'no verdict' if loop.verdict is None else loop.verdict.reason}")
     K = controller.history()
-    start, each = _any_start(nodes, controller.uses, K)
-    closed, arrivals = close(plant, each.gains, each.transition, renewed=each.renewed), arrivals_of(nodes)
+    plant, each = with_commands(plant, _phases(loop, controller, in_phase=False))
+    start = Start(moment=np.eye(len(plant.A)), phases=each.start)
+    closed = close(plant, each.gains, each.transition, renewed=each.renewed, ages=each.ages)
+    arrivals = None if each.ages is not None else arrivals_of(nodes)
     mean = start.mean(closed.stable_cost_to_go())
     bound = None if arrivals is None else causal_bound(plant, arrivals, start.moment)
     found: dict[str, Any] = {
@@ -183,31 +186,32 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
         "gap": None if bound is None else mean / bound - 1.0, "verdict": loop.verdict.to_json(), "gains": K.tolist(),
     }  # fmt: skip
     if spread:
-        if each.renewed is not None:
-            raise HilError(f"{name}: --spread: not over a history with lost packets: its {len(each.gains)} phases are too many")
+        if each.renewed is not None or len(each.gains) > MOST_SPREAD:
+            raise HilError(f"{name}: --spread: not over a history with gaps: its {len(each.gains)} phases are too many")
         found["cost_sd"] = 0.0
         if each.transition is not None:
-            phases = phase_gains(K, nodes, controller.uses).start  # of the run: the schedule's first phase
+            phases = _phases(loop, controller, in_phase=True).start  # of the run: the schedule's first phase
             history = known_past(loop.experiment.plant)
             if history[1:].any():  # which no sensor has seen
-                closed, history = run_from(plant, each.gains, history, each.transition)
+                closed, history = run_from(plant, each.gains, history, each.transition, ages=each.ages)
             found["cost_sd"] = float(np.sqrt(cost_moments(closed, history, phases).variance))
     if orders:
         found["orders"] = _orders(plant, nodes, K, name)
     return found
 
 
-def _any_start(nodes: SensorNodes, uses: Uses, K: Array) -> tuple[Start, PhaseGains]:
-    """Return a start from x(0) ~ N(0, I) in any turn, and the gains of all phases."""
-    from design.historical_data.gapped_history import phase_gains
-    from design.historical_data.guaranteed_cost import Start
+def _phases(loop: Loop, controller: HistoryGains, *, in_phase: bool) -> PhaseGains:
+    """Return the gains of all phases, from the run's own slot 0 on or from any slot of the cycle.
 
-    turns = nodes.turns
-    begins = [turns]
-    if turns is not None and turns.cycle:
-        begins = [msgspec.structs.replace(turns, phase=phase) for phase in range(turns.phases)]
-    each = [phase_gains(K, msgspec.structs.replace(nodes, turns=begin), uses) for begin in begins]
-    return Start(moment=np.eye(K.shape[-1]), phases=np.mean([one.start for one in each], axis=0)), each[0]
+    Raises:
+        HilError: they are not known.
+    """
+    from hil.rig.loop_chains import history_of
+
+    found = history_of(loop.rig, loop.chains, controller, loop.model, in_phase=in_phase)
+    if isinstance(found, str):
+        raise HilError(f"{loop.experiment.name}: {found}")
+    return found
 
 
 def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Array, name: str) -> list[dict[str, Any]]:

@@ -174,16 +174,17 @@ def _problem(
         )
         if repeat and sc is not None and ca is not None and min(sc.modes, ca.modes) > 1:
             sc, chainless = None, "both directions repeat, and the theory of this controller does not know which phases meet"
-    known = sc is not None and ca is not None
+    known, history = sc is not None and ca is not None, found.history
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
         digest=digest_of(e, controller, model),
         damped=rig.passivity, whole=_whole(e, rig, ca, model.d_max, behind),
         faults=sum(fault.slots(float(e.period))[0] < e.slots for fault in e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
-        slack=found.slack, shares=found.shares, unmet=unmet,
-        chainless="" if known else chainless, neglects=chains.neglects() if known else "",
-        silent=never_received(sc, ca, rig), waited=waited_for(controller, rig),
+        slack=found.slack, shares=found.shares, history=history, unmet=unmet,
+        chainless="" if known else chainless,
+        neglects=chains.neglects() if known else chains.applied.neglects() if history is not None else "",
+        silent="" if history is not None else never_received(sc, ca, rig), waited=waited_for(controller, rig),
         steps=tuple({round(s.at / e.period): s.value for s in e.reference}.items()),  # of one slot the last counts
         disturbance=tuple(disturbance_changes(e).items()),
     )  # fmt: skip

@@ -9,8 +9,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, controller_traits, row_count
+from design.controllers import (
+    AgedFeedback,
+    Controller,
+    GainTable,
+    HistoryGains,
+    LinearFeedback,
+    LoopModel,
+    controller_traits,
+    row_count,
+)
+from design.errors import FieldError
 from hil.rig import RigSpec
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, lasting, within_reach
@@ -20,6 +31,7 @@ from transport.errors import NotKnown
 from transport.laws import RecordedLaw
 
 if TYPE_CHECKING:
+    from design.historical_data.sensor_schedule import PhaseGains
     from design.processes.delay_chain import DelayChain
 
 
@@ -34,6 +46,9 @@ IN_PHASE = "both directions repeat, and meet in the phases in which they begin i
 class LoopChains(NamedTuple):
     """Both chains, None where there is none; which modes of the laws never occur; why a chain is missing; empty for nothing.
 
+    `history`: the gains over historical data in every phase of what is known and of the command that acts; what about them is not
+    known, in words; None for other controllers.
+
     `slack` bounds the difference of each output, at the controller, from the measured one, by dead bands; `shares` bounds it as a
     share of the output, by relative triggers; empty: no node has such a trigger.
     """
@@ -44,6 +59,7 @@ class LoopChains(NamedTuple):
     chainless: str
     slack: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
+    history: PhaseGains | str | None = None
 
 
 def loop_chains(
@@ -58,6 +74,8 @@ def loop_chains(
         model: what it knows of the loop.
         in_phase: whether the laws of the sensor nodes begin with their clocks; else any of their phases may meet.
     """
+    if isinstance(controller, HistoryGains):
+        return LoopChains(chains.sc, chains.ca, "", "", history=history_of(rig, chains, controller, model, in_phase=in_phase))
     if can_bus_of(rig) is not None:
         try:
             return _over_bus(rig, chains, controller, model)
@@ -91,6 +109,52 @@ def loop_chains(
             return LoopChains(None, ca, "", str(why))
         return LoopChains(*settled(*_in_phase(found, ca, drawn)), "", "", *_slack(rig))
     return LoopChains(*settled(*_in_phase(sc, ca, drawn)), "", "")
+
+
+def history_of(
+    rig: RigSpec, chains: Chains, controller: HistoryGains, model: LoopModel, *, in_phase: bool = True
+) -> PhaseGains | str:
+    """Return the gains over historical data of every phase, as they act; in words, why they are not known.
+
+    Where the schedule alone says what is known, its turns are the phases (`design.historical_data.sensor_schedule`); elsewhere
+    the phases are the states of `hil.rig.known_samples`.
+
+    Args:
+        rig, chains, controller, model, in_phase: as of `loop_chains`.
+    """
+    from design.historical_data.sensor_schedule import gains_undecided, phase_gains
+    from hil.rig.known_samples import phases_over, with_commands
+
+    nodes, K = model.nodes, np.array(controller.history(), dtype=float)
+    if triggered := [sensor.name for sensor in rig.sensors if sensor.trigger.kind != "every-slot"]:
+        return f"the theory does not know when the triggers or clocks of the nodes {', '.join(triggered)} let them send"
+    try:
+        ca, first = _commands(rig, chains)
+        if nodes.silent or gains_undecided(K, nodes, controller.uses):
+            found = phases_over(rig, chains.arriving, controller, nodes, in_phase=in_phase)
+        else:
+            found = phase_gains(K, nodes, controller.uses)
+            if not in_phase and nodes.turns is not None and nodes.turns.cycle:
+                begins = [replace(nodes, turns=replace(nodes.turns, phase=at)) for at in range(nodes.turns.phases)]
+                starts = [phase_gains(K, each, controller.uses).start for each in begins]
+                found = replace(found, start=np.mean(starts, axis=0))
+        return with_commands(found, ca, first)
+    except (NotKnown, FieldError) as why:
+        return str(why)
+
+
+def _commands(rig: RigSpec, chains: Chains) -> tuple[DelayChain, NDArray[np.float64]]:
+    """The chain of the ages of commands, and its distribution in slot 0.
+
+    Raises:
+        NotKnown: there is none.
+    """
+    if chains.ca is not None and (first := begun((chains.applied,))) is not None:
+        return chains.ca, first
+    if not isinstance(rig.ca_law, RecordedLaw):
+        raise NotKnown(f"the law of network.ca {chains.applied.why_none}")
+    recorded = recorded_chain(rig.ca_law)
+    return recorded, np.asarray(recorded.begins, dtype=np.float64)
 
 
 def reached(chains: Chains) -> tuple[DelayChain, DelayChain] | None:

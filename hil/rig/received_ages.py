@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import product
 from math import lcm
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from hil.rig import RigSpec
-from hil.rig.receiver import SURE, Chance, Channel, Received, channel_of
+from hil.rig.receiver import Chance, Channel, Received, channel_of
 from hil.rig.sensors import Sensor
 from hil.rig.slotted_media import SlottedMedium, slotted
 from transport.errors import NotKnown
@@ -39,7 +39,21 @@ class State(NamedTuple):
     phase: int
     media: tuple[object, ...]
     laws: tuple[int, ...]
-    sent: tuple[tuple[int, ...], ...]
+    sent: tuple[Any, ...]
+
+
+class FollowsPackets(Protocol):
+    """A node's channel as far as `explored` asks it, see `hil.rig.receiver.AgeChannel`; what is on its way may be more."""
+
+    @property
+    def begins(self) -> tuple[tuple[int, float], ...]:
+        """States of the law in slot 0, each with its probability."""
+
+    def follows(self, law_state: int) -> tuple[tuple[int, Chance], ...]:
+        """Return the states of the law that follow one."""
+
+    def sends(self, previous: Any, law_state: int, offered: int | None, far: int) -> Iterator[tuple[Any, Chance]]:
+        """Yield what is on its way in a slot."""
 
 
 def received_ages(
@@ -63,37 +77,11 @@ def received_ages(
     from design.processes.delay_chain import DelayChain, labels_of
 
     sensors = rig.sensors
-    media: list[SlottedMedium] = []
-    for shared in rig.media:
-        if (medium := slotted(shared, sensors)) is None:
-            raise NotKnown(f"network.media.{shared.name} is of kind {shared.table.kind!r}, whose delays no chain knows")
-        media.append(medium)
-    for sensor in sensors:
-        kind, trigger = sensor.trigger.kind, f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
-        if kind in BANDS and bands:
-            raise NotKnown(f"{bands}: {trigger}, and by how much the sample sent last is wrong is not known then")
-        if kind != "every-slot" and kind not in BANDS:
-            said = "the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
-            raise NotKnown(f"{trigger}, and {said}")
-        if sensor.clock.drawn:
-            raise NotKnown(f"{sensor.path}.clock draws when it sends")
-    channels: list[Channel] = []
-    for way, sensor in zip(arriving, sensors):
-        try:
-            found = channel_of(way)
-        except NotKnown as why:
-            raise NotKnown(f"{way.path}: {why}") from None
-        if sensor.trigger.kind in BANDS and not found.sure:
-            said = "under a packet law whose ages change it is not known when what a silent node sent last has come"
-            raise NotKnown(f"{way.path}: {said}")
-        channels.append(found)
+    media, channels = media_and_channels(rig, arriving, bands=bands)
     counts = [distinguished] * len(sensors) if isinstance(distinguished, int) else list(distinguished)
-    waiting = {n for medium in media if medium.waits for n in medium.members}
-    waits = [s.clock.every - 1 if n in waiting else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
+    waits = waiting(sensors, media)  # then a newer sample takes its place
     far = [max(each.oldest + wait, count - 2) + 1 for each, wait, count in zip(channels, waits, counts)]  # received before: held
-    states, steps = _explored(sensors, media, channels, far, in_phase)
-    if not states:
-        raise NotKnown(f"media, clocks and laws together have more than {MOST_STATES} states")
+    states, steps = explored(sensors, media, channels, far, in_phase=in_phase)
     ages = np.zeros((len(states), len(rig.outputs)), dtype=np.int64)
     held, own = np.zeros(ages.shape, dtype=np.bool_), np.zeros((len(sensors), len(states)), dtype=np.int64)
     for i, state in enumerate(states):
@@ -107,25 +95,80 @@ def received_ages(
     matrices[0] /= matrices[0].sum(axis=1, keepdims=True)
     return DelayChain(
         transition=matrices[0], delays=ages.max(axis=1), labels=labels_of(own, distinguished), ages=ages, held=held,
-        begins=np.array(list(states.values())),
+        begins=np.array(list(states.values())) > 0.0,
         between=None if exact else (np.minimum(matrices[1], matrices[0]), np.clip(matrices[2], matrices[0], 1.0)),
     )  # fmt: skip
 
 
-def _explored(
-    sensors: Sequence[Sensor], media: Sequence[SlottedMedium], channels: Sequence[Channel], far: Sequence[int], in_phase: bool
-) -> tuple[dict[State, bool], list[tuple[int, int, Chance]]]:
-    """Return every reachable state (true: of a beginning), and the transitions between them; nothing if there are too many."""
+def media_and_channels(
+    rig: RigSpec, arriving: Sequence[Received], *, bands: str, drawn: bool = False
+) -> tuple[list[SlottedMedium], list[Channel]]:
+    """Return what nodes share, and the channel of each node; `bands` as of `received_ages`, `drawn` as of `channel_of`.
+
+    Raises:
+        NotKnown: what of a node, its law or a medium has no chain.
+    """
+    media: list[SlottedMedium] = []
+    for shared in rig.media:
+        if (medium := slotted(shared, rig.sensors)) is None:
+            raise NotKnown(f"network.media.{shared.name} is of kind {shared.table.kind!r}, whose delays no chain knows")
+        media.append(medium)
+    for sensor in rig.sensors:
+        kind, trigger = sensor.trigger.kind, f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+        if kind in BANDS and bands:
+            raise NotKnown(f"{bands}: {trigger}, and by how much the sample sent last is wrong is not known then")
+        if kind != "every-slot" and kind not in BANDS:
+            said = "the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
+            raise NotKnown(f"{trigger}, and {said}")
+        if sensor.clock.drawn:
+            raise NotKnown(f"{sensor.path}.clock draws when it sends")
+    channels: list[Channel] = []
+    for way, sensor in zip(arriving, rig.sensors):
+        try:
+            found = channel_of(way, drawn=drawn)
+        except NotKnown as why:
+            raise NotKnown(f"{way.path}: {why}") from None
+        if sensor.trigger.kind in BANDS and not found.sure:
+            said = "under a packet law whose ages change it is not known when what a silent node sent last has come"
+            raise NotKnown(f"{way.path}: {said}")
+        channels.append(found)
+    return media, channels
+
+
+def waiting(sensors: Sequence[Sensor], media: Sequence[SlottedMedium]) -> list[int]:
+    """Return for how many slots at most a sample of each node waits for its medium."""
+    members = {n for medium in media if medium.waits for n in medium.members}
+    return [s.clock.every - 1 if n in members else 0 for n, s in enumerate(sensors)]
+
+
+def explored(
+    sensors: Sequence[Sensor], media: Sequence[SlottedMedium], channels: Sequence[FollowsPackets], far: Sequence[int], *,
+    in_phase: bool = True, cycle: int = 1,
+) -> tuple[dict[State, float], list[tuple[int, int, Chance]]]:  # fmt: skip
+    """Return every reachable state with its probability in slot 0, and the transitions between them.
+
+    Args:
+        sensors: the nodes, by number.
+        media: what they share.
+        channels: of each node.
+        far: of each node, the age from which on a sample counts as received before, or never sent.
+        in_phase: as of `received_ages`; else slot 0 is any slot of the cycle.
+        cycle: slots after which what else counts them begins anew.
+
+    Raises:
+        NotKnown: there are too many.
+    """
+    too_many = f"media, clocks and laws together have more than {MOST_STATES} states"
     free = [n for n in range(len(sensors)) if not any(n in medium.members for medium in media)]
-    cycle = lcm(*(s.clock.every for s in sensors), *(medium.cycle for medium in media))
+    cycle = lcm(cycle, *(s.clock.every for s in sensors), *(medium.cycle for medium in media))
     if cycle > MOST_STATES:
-        return {}, []
+        raise NotKnown(too_many)
     due = [[sensors[n].clock.every == 1 or t % sensors[n].clock.every == sensors[n].clock.phase
             for n in range(len(sensors))] for t in range(cycle)]  # fmt: skip
 
     def successors(state: State | None, t: int) -> Iterator[tuple[State, Chance]]:
         law_outcomes = [
-            [(at, SURE) for at in channel.begins] if state is None else channel.follows(state.laws[n])
+            [(at, (share,) * 3) for at, share in channel.begins] if state is None else channel.follows(state.laws[n])
             for n, channel in enumerate(channels)
         ]
         before = [None] * len(media) if state is None else state.media
@@ -149,16 +192,18 @@ def _explored(
                     yield State(t, media_states, laws, on_way), tuple(chances)  # type: ignore[misc]
 
     begun = range(1 if in_phase else cycle)
-    reachable: dict[State, bool] = dict.fromkeys((state for t in begun for state, _ in successors(None, t)), True)
+    reachable: dict[State, float] = {}
+    for state, (chance, _, _) in (first for t in begun for first in successors(None, t)):
+        reachable[state] = reachable.get(state, 0.0) + chance / len(begun)
     number, unexplored, transitions = {state: i for i, state in enumerate(reachable)}, list(reachable), []
     while unexplored:
         state = unexplored.pop()
         for following, chances in successors(state, (state.phase + 1) % cycle):
             if following not in number:
                 number[following] = len(number)
-                reachable[following] = False
+                reachable[following] = 0.0
                 unexplored.append(following)
             transitions.append((number[state], number[following], chances))
         if len(number) > MOST_STATES:
-            return {}, []
+            raise NotKnown(too_many)
     return reachable, transitions

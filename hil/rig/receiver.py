@@ -122,8 +122,12 @@ OnWay = tuple[int, ...]
 """A node's samples on their way, in ages and slots."""
 
 
-def recorded_cycle(law: RecordedLaw) -> np.ndarray:
+def recorded_cycle(law: RecordedLaw, *, drawn: bool = False) -> np.ndarray:
     """Return the ages that a receiver measures slot by slot once a recording repeats.
+
+    Args:
+        law: the recording.
+        drawn: the ages of what comes instead, be it the newest or not.
 
     Raises:
         NotKnown: there is no such cycle, or it is too long.
@@ -133,7 +137,7 @@ def recorded_cycle(law: RecordedLaw) -> np.ndarray:
     ages = law.recorded()
     if len(ages) > MOST_ENTRIES:
         raise NotKnown(f"the recording has {len(ages)} entries, at most {MOST_ENTRIES} are computed with")
-    return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
+    return ages if drawn else measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
 
 
 def recorded_chain(law: RecordedLaw) -> DelayChain:
@@ -160,12 +164,12 @@ class AgeChannel(NamedTuple):
     Args:
         ages: the age that a receiver measures in every state.
         after: what follows each state.
-        begins: states of the law in slot 0.
+        begins: states of the law in slot 0, each with its probability.
     """
 
     ages: tuple[int, ...]
     after: tuple[tuple[tuple[int, Chance], ...], ...]
-    begins: tuple[int, ...]
+    begins: tuple[tuple[int, float], ...]
 
     @property
     def oldest(self) -> int:
@@ -218,7 +222,7 @@ class PacketChannel(NamedTuple):
     losses: tuple[float, ...]
     matrix: tuple[tuple[float, ...], ...]
     in_order: bool
-    begins: tuple[int, ...]
+    begins: tuple[tuple[int, float], ...]
 
     @property
     def oldest(self) -> int:
@@ -266,17 +270,21 @@ def _arrived(newest: int, flying: list[tuple[int, int]], far: int) -> OnWay:
     return (newest, *(number for due, age in flying if due > 0 and age < newest for number in (due, age)))
 
 
-def channel_of(way: Received) -> Channel:
+def channel_of(way: Received, *, drawn: bool = False) -> Channel:
     """Return the channel of a node's law to the controller.
+
+    Args:
+        way: the law as the controller meets it.
+        drawn: for who takes older packets too: with the ages that an age law draws, in the place of those of the newest packet.
 
     Raises:
         NotKnown: what its states are.
     """
     law = way.law
     if isinstance(law, RecordedLaw):
-        cycle = recorded_cycle(law)
+        cycle = recorded_cycle(law, drawn=drawn)
         count = len(cycle)
-        return AgeChannel(tuple(cycle.tolist()), tuple((((i + 1) % count, SURE),) for i in range(count)), (0,))
+        return AgeChannel(tuple(cycle.tolist()), tuple((((i + 1) % count, SURE),) for i in range(count)), ((0, 1.0),))
     if isinstance(law, PacketDelays):
         try:
             comes = law.delay_chances(way.at.period_s, way.at.deadline_s)
@@ -285,9 +293,9 @@ def channel_of(way: Received) -> Channel:
         return PacketChannel(
             comes=tuple(comes.tolist()), losses=tuple(law.channel_losses()),
             matrix=tuple(map(tuple, law.transition_matrix().tolist())), in_order=not law.reordering,
-            begins=tuple(np.flatnonzero(law.stationary() > 0.0).tolist()),
+            begins=_begun(law.stationary()),
         )  # fmt: skip
-    states = way.states
+    states = delay_states(way.ages, drawn=True) if drawn else way.states
     if way.of_packets:
         raise NotKnown("states the ages of packets sent in every slot, and not how late each of them comes (delay_chances)")
     if states is None:
@@ -296,4 +304,8 @@ def channel_of(way: Received) -> Channel:
         tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())
         for i, row in enumerate(states.high)
     )  # fmt: skip
-    return AgeChannel(tuple(states.ages.tolist()), follows, tuple(np.flatnonzero(states.initial > 0.0).tolist()))
+    return AgeChannel(tuple(states.ages.tolist()), follows, _begun(states.initial))
+
+
+def _begun(initial: np.ndarray) -> tuple[tuple[int, float], ...]:
+    return tuple((at, float(initial[at])) for at in np.flatnonzero(initial > 0.0).tolist())

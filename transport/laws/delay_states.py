@@ -43,12 +43,13 @@ class DelayStates(NamedTuple):
     stays: Matrix
 
 
-def delay_states(law: object, least: int = 1) -> DelayStates | None:
+def delay_states(law: object, least: int = 1, *, drawn: bool = False) -> DelayStates | None:
     """Return the chain of the age that a receiver measures under an age law; None for a law that states no chain.
 
     Args:
         law: a `SemiMarkovLaw` or a `ChainLaw`.
         least: lengths of stay in a mode that have states of their own, whatever the hazard.
+        drawn: the chain of the age that is drawn, in the place of the measured one.
 
     >>> from transport.laws.age import IidAge
     >>> delay_states(IidAge(probabilities=(0.5, 0.3, 0.2), allow_gaps=True)).matrix.tolist()
@@ -70,7 +71,7 @@ def delay_states(law: object, least: int = 1) -> DelayStates | None:
         return None
     begin = _initial(law, matrix, slots)
     gaps = bool((high > 0.0)[ages[None, :] > ages[:, None] + 1].any())
-    if gaps:
+    if gaps and not drawn:
         matrix, low, high, ages, origin = _measured(matrix, low, high, ages)
         # a mode that is not left comes to measure its own age: these are the first states
         slots, (begin, stays) = slots[origin], (np.append(own, np.zeros(len(ages) - len(own))) for own in (begin, stays))

@@ -9,9 +9,9 @@ import pytest
 
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, window_of
 from design.historical_data import DelayedPlant, close
-from design.historical_data.gapped_history import window_chain, window_mask, window_start, window_undecided
 from design.historical_data.guaranteed_cost import average_start, cost
 from design.historical_data.least_cost import synthesise
+from design.historical_data.sensor_schedule import window_chain, window_mask, window_start, window_undecided
 from plants.delayed_states import DelayedStates
 
 CYCLE = Turns(order=(0, 2, 1), phase=1, loss=0.3)

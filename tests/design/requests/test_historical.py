@@ -11,9 +11,8 @@ from design.controllers import LoopModel, SensorNodes, Turns
 from design.controllers.sensor_nodes import window_of
 from design.errors import FieldError
 from design.historical_data import DelayedPlant, close
-from design.historical_data.gapped_history import phase_gains, window_mask
 from design.historical_data.guaranteed_cost import Start, cost
-from design.historical_data.sensor_schedule import mask_of
+from design.historical_data.sensor_schedule import mask_of, phase_gains, window_mask
 from design.requests.historical import HistoricalDesigned
 from design.requests.tracking import DesignTask
 

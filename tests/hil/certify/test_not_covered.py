@@ -20,6 +20,9 @@ def verdict_on(name: str, *sets: str) -> Verdict:
     return found
 
 
+COPIES = "{kind='packet', latency='90 ms', reordering=false, duplication=0.1}"
+
+
 class NoSelection:
     def table(self, model: LoopModel) -> None: ...
 
@@ -51,7 +54,7 @@ def test_gains_over_history_name_the_state_that_is_not_measured_or_the_modes() -
     ("name", "sets", "why"),
     [
         ("smjls-robust", ("controller={kind='local',gain=[[0.0,0.0,0.0]]}",), "jumps between modes, and no proof covers a table"),
-        ("multisensor-published", ("network.ca.law={kind='iid',probabilities=[0.5,0.5]}",), "0, 1 slots old when they act"),
+        ("multisensor-published", (f"network.ca.law={COPIES}",), "states no chain: packets wait for the copies"),
     ],
 )
 def test_the_reason_names_the_part_and_what_is_judged(name: str, sets: tuple[str, ...], why: str) -> None:

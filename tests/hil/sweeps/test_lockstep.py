@@ -10,8 +10,7 @@ import pytest
 
 import hil
 from design.controllers.sensor_nodes import window_of
-from design.historical_data.gapped_history import window_mask
-from design.historical_data.sensor_schedule import mask_of
+from design.historical_data.sensor_schedule import mask_of, window_mask
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop

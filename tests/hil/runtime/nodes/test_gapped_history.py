@@ -6,25 +6,30 @@ from itertools import product
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
+from design.controllers import Historical, Known
 from design.controllers.sensor_nodes import PacketWindow, window_of
 from design.historical_data import DelayedPlant, close
-from design.historical_data.gapped_history import gap_window, gapped_gains, gaps_undecided, phase_gains, window_mask
-from design.historical_data.guaranteed_cost import close_received
-from design.historical_data.sensor_schedule import mask_of
+from design.historical_data.guaranteed_cost import run_from
+from design.historical_data.sensor_schedule import PhaseGains, mask_of, window_mask
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of
-from hil.certify.historical_loop import delayed_plant_of, judge_historical
+from hil.certify.historical_loop import delayed_plant_of, judge_historical, with_commands
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig import rig_of
 from hil.rig.loop import Loop
+from hil.rig.loop_chains import history_of
 from hil.runtime.nodes.controller_input import SampleHistory
 from hil.runtime.virtual import simulate
 from transport.draws import DELIVERED
 
+NODES = ["first", "second", "third", "fourth"]
+CLOCKS = [f"network.nodes.{name}.clock={{every={n + 2}, phase={n}}}" for n, name in enumerate(NODES)]
+BUS = "network.media.bus={{kind='can-arbitration', nodes=['first', 'second', 'third', 'fourth'], frames=1, loss={loss}}}"
+UNIFORM = "latency={dist='uniform', loc=0.0, scale=0.13}"
 SETS = {
     "three samples": ["network.media.bus.loss=0.6"],
     "unlike nodes": [
@@ -32,59 +37,109 @@ SETS = {
         "network.nodes.second.law={kind='constant', age=2}", "network.nodes.third.law={kind='constant', age=1}",
     ],
     "all late": ["network.media.bus.loss=0.5", "network.sc.law.age=1", "plant.initial_history=[[1, 2, -3, 0.5], [0, 4, 1, 1]]"],
+    "clocks": [*CLOCKS, "network.media={}", "network.nodes.second.buffer=1"],
+    "clocks and turns": [*CLOCKS[:2], "network.nodes.second.buffer=1"],
+    "a bus that loses frames": [
+        *(f"network.nodes.{name}.clock={{every=4, phase={n}}}" for n, name in enumerate(["first", "third", "fourth", "second"])),
+        BUS.format(loss=0.3), "plant.initial_history=[[1, 2, -3, 0.5]]",
+    ],
+    "late by a chain": [
+        "network.nodes.third.law={kind='markov', matrix=[[0.5, 0.3, 0.2], [0.6, 0.2, 0.2], [0.4, 0.3, 0.3]], allow_gaps=true}",
+        "network.sc.max_age=2",
+    ],
+    "late packets": [f"network.nodes.first.law={{kind='packet', loss=0.2, {UNIFORM}}}", "network.sc.max_age=3"],
+    "late packets in order": [
+        f"network.nodes.first.law={{kind='packet', loss=0.2, reordering=false, {UNIFORM}}}", "network.sc.max_age=3",
+    ],
+    "a recording": ["network.nodes.second.law={kind='trace', ages=[0, 3, 1, 1, 2], allow_gaps=true}", "network.sc.max_age=3"],
+    "commands by a chain": ["network.ca.law={kind='markov', matrix=[[0.3, 0.7], [0.6, 0.4]]}"],
+    "commands get lost": [f"network.ca={{law={{kind='packet', loss=0.3, {UNIFORM}}}, max_age=1}}"],
 }  # fmt: skip
 
 
-def with_gains(which: str, *sets: str) -> Loop:
-    """multisensor-ours under random gains on every sample that a round robin brings."""
+def with_gains(which: str, *sets: str, uses: str = "history", cut: int = 5) -> Loop:
+    """multisensor-ours under random gains on every sample that comes."""
     free = load_experiment("multisensor-ours", ["duration=2", "allow_uncertified=true", *SETS[which], *sets])
-    mask = mask_of(rig_of(free).nodes, 5, "history")
+    nodes = rig_of(free).nodes
+    known = replace(nodes, delays=tuple(delay or 0 for delay in nodes.delays))
+    mask = mask_of(known, cut, uses)  # type: ignore[arg-type]
     gains = np.random.default_rng(1).normal(size=mask.shape) * mask
-    table = f"controller={{kind='historical', gains={gains[:, :, None, :].tolist()}}}"
+    table = f"controller={{kind='historical', uses='{uses}', gains={gains[:, :, None, :].tolist()}}}"
     return compose(load_experiment("multisensor-ours", ["duration=2", *SETS[which], table, *sets]), certify=False)
 
 
+def phases_of(loop: Loop) -> tuple[DelayedPlant, PhaseGains]:
+    """The plant and the gains of every phase of the run, as the certificate takes them."""
+    plant = delayed_plant_of(loop.experiment.plant, loop.model)
+    found = history_of(loop.rig, loop.chains, loop.controller, loop.model)  # type: ignore[arg-type]
+    assert plant is not None and isinstance(found, PhaseGains)
+    return with_commands(plant, found)
+
+
+def follow(loop: Loop, seeds: int, slots: int = 40) -> None:
+    """Every run is a path of the chain: in each slot some phase that may follow has its state."""
+    plant, each = phases_of(loop)
+    past = np.vstack([loop.experiment.plant.initial_state, *loop.experiment.plant.initial_history])  # type: ignore[attr-defined]
+    closed, first = run_from(plant, each.gains, past, each.transition, each.renewed, each.ages)
+    states = [signal.name for signal in loop.experiment.plant.states]
+    for seed in range(seeds):
+        run = simulate(loop, seed).arrays["/plant/state"]
+        may = {i: [first] for i in np.flatnonzero(each.start).tolist()}
+        for k in range(slots):
+            x, after = np.array([run[name][k] for name in states]), {}  # type: ignore[var-annotated]
+            may = {i: [z for z in own if np.allclose(z[:4], x, rtol=2e-5, atol=3e-5)] for i, own in may.items()}
+            assert any(may.values()), f"slot {k} of seed {seed}"
+            for i, own in may.items():
+                for z in own:
+                    moved = closed.L[i] @ z
+                    for j in np.flatnonzero(closed.transition[i]).tolist():
+                        if not any(np.allclose(moved, other, atol=1e-9) for other in after.setdefault(j, [])):
+                            after[j].append(moved)
+            may = after
+
+
 @pytest.mark.parametrize("which", SETS)
-def test_a_run_is_what_the_matrices_of_its_outcomes_say(which: str) -> None:
+def test_a_run_is_a_path_of_the_phases_of_what_is_known(which: str) -> None:
     """Samples from before the window are held, and those that a newer packet made the controller forget act as 0."""
-    loop = with_gains(which)
-    nodes, plant = loop.model.nodes, delayed_plant_of(loop.experiment.plant, loop.model)
-    assert plant is not None
-    each = gapped_gains(loop.controller.history(), nodes)  # type: ignore[attr-defined]
-    window = gap_window(nodes, each.gains.shape[1] - 2)
-    loops = [close_received(plant, each.gains, renewed=each.renewed)]
-    past = np.array([loop.experiment.plant.initial_state, *loop.experiment.plant.initial_history])  # type: ignore[attr-defined]
-    if len(past) == 1:
-        loops.append(close(plant, each.gains, renewed=each.renewed))
-    late, held = min(delay or 0 for delay in nodes.delays), 0
-    for seed in (0, 1):
-        run = simulate(loop, seed)
-        draws, states = run.arrays["/network/sc"], run.arrays["/plant/state"]
-        came = {int(d["packet_slot"]) + late: int(d["node"]) for d in draws if d["reason"] == DELIVERED}
-        for closed in loops:
-            z = np.zeros(closed.L.shape[-1])
-            z[: past.size] = past.ravel()
-            z[24:28] = past[0] if closed is loops[0] else 0.0
-            for k in range(40):
-                np.testing.assert_allclose([states[f"x{i + 1}"][k] for i in range(4)], z[:4], rtol=2e-5, atol=2e-5)
-                phase = window.phase(k, came.get)
-                held += bool(np.any(each.gains[phase, 6] @ z[-4:]))
-                z = closed.L[phase] @ z
-    assert held > 10
+    follow(with_gains(which), 3)
 
 
-def two_nodes(loss: float) -> SensorNodes:
-    """Two nodes in turn, one output each."""
-    turns = Turns(order=(0, 1), phase=1, loss=loss)
-    return SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 1), delays=(0, 0), turns=turns)
+@pytest.mark.parametrize(("which", "uses"), [("clocks and turns", "current-packet"), ("all late", "current-packet")])
+def test_a_run_on_the_current_packet_is_a_path_of_its_phases(which: str, uses: str) -> None:
+    follow(with_gains(which, *CLOCKS[:2], uses=uses), 2)
+
+
+def test_a_history_that_is_short_holds_what_comes_late_and_is_newer_than_all() -> None:
+    """Packets that are older than the controller's memory when they come replace what is held, and are forgotten otherwise."""
+    follow(with_gains("late packets", "network.nodes.first.buffer=1", "network.sc.max_age=3", cut=2), 3)
+
+
+@pytest.mark.parametrize("which", ["a bus that loses frames", "late packets", "commands get lost", "late by a chain"])
+def test_the_means_of_many_runs_are_those_of_the_phases(which: str) -> None:
+    loop, slots, runs = with_gains(which, "duration=0.4"), 8, 250
+    plant, each = phases_of(loop)
+    past = np.vstack([loop.experiment.plant.initial_state, *loop.experiment.plant.initial_history])  # type: ignore[attr-defined]
+    closed, first = run_from(plant, each.gains, past, each.transition, each.renewed, each.ages)
+    mean, said = each.start[:, None] * first, []
+    for _ in range(slots):
+        said.append(mean[:, :4].sum(axis=0))
+        mean = closed.transition.T @ np.einsum("iab,ib->ia", closed.L, mean)
+    seen = [simulate(loop, seed).arrays["/plant/state"] for seed in range(runs)]
+    x = np.array([[run[f"x{i + 1}"][:slots] for i in range(4)] for run in seen]).transpose(0, 2, 1)
+    away = np.abs(x.mean(axis=0) - said)
+    assert np.all(away <= 4.5 * x.std(axis=0) / np.sqrt(runs) + 1e-4 * np.abs(x).max())
 
 
 def test_second_moments_are_those_of_all_paths_of_the_controller_that_runs() -> None:
     """Seven slots, 128 paths, each with the controller's own memory of samples."""
-    nodes, loss, A, B, slots = two_nodes(0.4), 0.4, np.array([[1.1, 0.3], [-0.2, 0.9]]), np.array([[0.5], [1.0]]), 7
+    loss, A, B, slots = 0.4, np.array([[1.1, 0.3], [-0.2, 0.9]]), np.array([[0.5], [1.0]]), 7
+    sets = [*PLANT, f"plant.A={A.tolist()}", f"plant.B={B.tolist()}", f"network.media.bus.loss={loss}"]
+    sets.append("network.media.bus.phase=1")
+    nodes = rig_of(load_experiment("multisensor-ours", ["allow_uncertified=true", *sets])).nodes
     K = np.random.default_rng(2).normal(size=(2, 3, 1, 2)) * mask_of(nodes, 2, "history")[:, :, None, :]
-    each = phase_gains(K, nodes, "history")
-    plant = DelayedPlant(A=A, delayed=np.zeros((0, 2, 2)), B=B, weight=np.eye(2))
+    table = f"controller={{kind='historical', gains={K.tolist()}}}"
+    loop = compose(load_experiment("multisensor-ours", [*sets, table]), certify=False)
+    plant, each = phases_of(loop)
     closed = close(plant, each.gains, each.transition, renewed=each.renewed)
     S = np.zeros_like(closed.L)
     S[:, 0, 0], S[:, 1, 1], S[:, 0, 1], S[:, 1, 0] = (each.start * v for v in (1.0, 4.0, -2.0, -2.0))
@@ -93,12 +148,10 @@ def test_second_moments_are_those_of_all_paths_of_the_controller_that_runs() -> 
         S = forward(closed.L, closed.transition, S)
         said.append(S[:, :2, :2].sum(axis=0))
     law: Historical = historical_of(K, "history")
-    model = LoopModel(A=A, B=B, C=np.eye(2), period_s=0.1, tau_max=0, d_max=0, sensors=nodes)
-    sensors = unstable(0.1).rig.sensors
     seen = np.zeros((slots + 1, 2, 2))
     for path in product((True, False), repeat=slots):
         share, x = float(np.prod([1.0 - loss if came else loss for came in path])), np.array([1.0, -2.0])
-        running, assembly = law.start(model), SampleHistory(sensors, 2)
+        running, assembly = law.start(loop.model), SampleHistory(loop.rig.sensors, 2)
         for k, came in enumerate(path):
             seen[k] += share * np.outer(x, x)
             node = (k + 1) % 2
@@ -133,17 +186,38 @@ def test_losses_turn_certified_into_refused() -> None:
     assert judge_historical(few)["mean_cost"] > judge_historical(more)["mean_cost"]
     with pytest.raises(HilError, match=r"refused: E\|X\|\^2 of the stacked state does not fall"):
         unstable(0.7)
-    with pytest.raises(HilError, match="--spread: not over a history with lost packets"):
+    with pytest.raises(HilError, match="--spread: not over a history with gaps"):
         judge_historical(few, spread=True)
 
 
 def test_what_is_not_known_is_said_with_its_number() -> None:
-    assert not gaps_undecided(two_nodes(0.1), 7)
-    said = gaps_undecided(two_nodes(0.1), 8)
-    assert said.startswith("which of the last 9 packets got lost decides what a history has: 1024 phases with the turns")
-    assert "512 phases and 198 states: 20072448 numbers" in gaps_undecided(two_nodes(0.1), 7, 97)
+    gains = np.zeros((2, 12, 1, 2)).tolist()
+    table = f"controller={{kind='historical', gains={gains}}}"
+    with pytest.raises(HilError, match="media, clocks and laws together have more than 1024 states"):
+        compose(load_experiment("multisensor-ours", [*PLANT, table, "network.media.bus.loss=0.1"]))
+    few = f"controller.gains={np.zeros((5, 4, 1, 2)).tolist()}"
+    many = f"plant.delayed={np.zeros((97, 2, 2)).tolist()}"
+    with pytest.raises(HilError, match=r"what is known has 80 phases of 198 states: 3136320 numbers, at most 700000"):
+        unstable(0.1, many, "network.media.bus.nodes=['first', 'second', 'first', 'second', 'first']", few)
+    sojourn = "[{law='discrete-weibull', q=0.7, beta=0.8}, {law='geometric', p=0.5}]"
+    commands = f"network.ca.law={{kind='semi-markov', matrix=[[0, 1], [1, 0]], sojourn={sojourn}}}"
+    with pytest.raises(HilError, match=r"over network\.ca the tail of a sojourn law is known by bounds"):
+        unstable(0.1, commands)
     with pytest.raises(HilError, match="over lost packets gains are designed for uses = 'current-packet' or 'last-packets'"):
         compose(load_experiment("multisensor-ours", ["network.media.bus.loss=0.1"]))
+
+
+def test_clocks_decide_what_a_history_is_worth() -> None:
+    """x1 grows by 1.2 in a slot: its sample of every second slot is enough, one of every eighth is not."""
+    gains = "controller={kind='historical', gains=[[[[-0.6, 0.0]], [[-0.1, 0.0]]]]}"
+    often, seldom = (
+        compose(load_experiment("multisensor-ours", [
+            *PLANT, gains, "network.media={}", f"network.nodes.first.clock={{every={every}}}", "allow_uncertified=true",
+        ])).verdict
+        for every in (2, 8)
+    )  # fmt: skip
+    assert often is not None and often.certified and often.details["phases"] == 3
+    assert seldom is not None and seldom.state == "refused" and (seldom.number or 0.0) > 1.01
 
 
 LAST = {
