@@ -93,9 +93,15 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     blocks.append(Table(columns=("law that was tried", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
     tested = map(capital, independence_text(fit))
     intro = f"The law: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
-        f"{note}." for note in (*tested, capital(latencies_text(fit)), *said["notes"])
+        f"{note}." for note in (*tested, capital(latencies_text(fit)), *map(_sentence, said["notes"]))
     )
     return Section(title=capital(WAYS[way]), intro=intro, blocks=tuple(blocks), columns=2)
+
+
+def _sentence(note: str) -> str:
+    """A note of a fit, which names a direction by its key, as a page says it."""
+    way, colon, rest = note.partition(": ")
+    return capital(WAYS[way] + colon + rest if way in WAYS else note)
 
 
 def _chance(p: float) -> str:

@@ -44,7 +44,7 @@ def compare_page(comparison: Comparison) -> str:
             rows.append([name, s["n"], s["mean"], s["sd"], *percentiles, *gap_cells])
         blocks: tuple[Block, ...] = (
             Figure(
-                title=f"{title}: share of runs at or below",
+                title=capital(f"{title}: share of runs at or below"),
                 series=tuple(series),
                 x_label=title,
                 x_unit=quantity.unit,
@@ -58,16 +58,16 @@ def compare_page(comparison: Comparison) -> str:
             Table(
                 columns=("experiment", "runs", "mean", "sd", "5 %", "50 %", "95 %", *DIFFERENCE[: 2 * several]),
                 rows=[row[: 7 + 2 * several] for row in rows],
-                note=f"differences are against {names[0]}, run by run on the same delays" if several else "",
+                note=f"Differences are against {names[0]}, run by run on the same delays" if several else "",
             ),
         )
-        sections.append(Section(title=title, blocks=blocks))
+        sections.append(Section(title=capital(title), blocks=blocks))
     sections.insert(0, _answer(comparison))
     stopped = ", ".join(f"{name}: " * several + str(int(found[name]["stopped"].sum())) for name in names)
     return Page(
         "Comparison of experiments" if several else names[0],
         sections,
-        subtitle=", ".join(names) if several else "many runs",
+        subtitle=", ".join(names) if several else "Many runs",
         facts=(("runs of each" if several else "runs", str(comparison.runs)), ("stopped by safety", stopped)),
     ).html()
 
@@ -131,14 +131,14 @@ def parameter_page(sweep: ParameterSweep) -> str:
         found = sweep.intervals(quantity.name)
         if any(np.isfinite(i.value) for i in found):
             blocks = (*_pictures(sweep, quantity, found), _table(sweep, quantity))
-            sections.append(Section(title=quantity.title, blocks=blocks))
+            sections.append(Section(title=capital(quantity.title), blocks=blocks))
     stopped = sum(int(columns["stopped"].sum()) for columns in sweep.columns)
     facts = (
         ("points", str(len(sweep.columns))), ("runs of each", str(runs)), ("stopped by safety", str(stopped)),
         ("seeds", "the same at every point: equal network laws meet equal delays"),
     )  # fmt: skip
     title = f"{sweep.experiment} over {', '.join(sweep.points.keys)}"
-    return Page(title, sections, subtitle="sweep over parameters", facts=facts).html()
+    return Page(title, sections, subtitle="Sweep over parameters", facts=facts).html()
 
 
 def _answer_of_points(sweep: ParameterSweep) -> Section:

@@ -23,7 +23,7 @@ from msgspec.structs import asdict
 
 from hil.measure.signals import with_unit
 from hil.pages import Badge, Band, Block, Cell, Figure, Lines, Link, Section, Series, Table, Text, Tile
-from hil.pages.html import text_of
+from hil.pages.html import capital, text_of
 from hil.pages.html.payload import BUCKETS, WHOLE, Payload, Still, bucket_extremes, columns_of, reduced
 from hil.pages.html.svg import still_html
 
@@ -101,7 +101,7 @@ def _header(page: Page) -> str:
     if page.badges:
         parts.append(f'<div class="badges">{"".join(map(badge_html, page.badges))}</div>')
     if page.facts:
-        pairs = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in page.facts)
+        pairs = "".join(f"<div><dt>{escape(capital(name))}</dt><dd>{escape(value)}</dd></div>" for name, value in page.facts)
         parts.append(f'<dl class="facts">{pairs}</dl>')
     if page.tiles:
         parts.append(f'<div class="tiles">{"".join(map(tile_html, page.tiles))}</div>')

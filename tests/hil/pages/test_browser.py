@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.measure.view import view_of
-from hil.pages import Badge, Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table
+from hil.pages import Badge, Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table, Tile
 from hil.pages.html.page import Page
 from hil.pages.run_page import render_report
 from tests.hil.pages import chromium
@@ -121,6 +121,14 @@ def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path, browser: chr
     lines += "return new Set([...r.getClientRects()].map(b => Math.round(b.top))).size; })"
     assert set(browser.evaluate(lines)) == {1}
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_a_long_number_of_a_tile_stays_in_it(tmp_path: Path, browser: chromium.Page) -> None:
+    tiles = [Tile(label="Steady-state error", value=-2.71494e-4, unit="rad²/s²")] * 6
+    (file := tmp_path / "page.html").write_text(Page("Tiles", [], tiles=tiles).html())
+    browser.size(1200, 800)
+    browser.open(file)
+    assert browser.evaluate("[...document.querySelectorAll('.tile')].every(t => t.scrollWidth <= t.clientWidth)")
 
 
 def test_report_of_one_slot_shows_its_samples_as_points(tmp_path: Path, browser: chromium.Page) -> None:
