@@ -181,24 +181,37 @@ def power(A: Array, degree: int) -> Any:
     >>> power(np.array([[2.0]]), 3).toarray().tolist()
     [[8.0]]
     """
+    return powers(A, degree)[0]
+
+
+def powers(A: Array, *degrees: int) -> list[Any]:
+    """Return A^[degree] of several increasing degrees, see `power`: the larger ones are made of the smaller ones.
+
+    Args:
+        A: (n, k).
+        degrees: of the monomials, at least 1.
+    """
     from scipy.sparse import csr_array  # where a command has no limits, it is not needed
 
-    row, column, values = power_entries(A, degree)
-    return csr_array((values, (row, column)), shape=(count(A.shape[0], degree), count(A.shape[1], degree)))
+    return [
+        csr_array((values, (row, column)), shape=(count(A.shape[0], degree), count(A.shape[1], degree)))
+        for degree, (row, column, values) in zip(degrees, power_entries(A, *degrees))
+    ]
 
 
-def power_entries(A: Array, degree: int) -> tuple[Index, Index, Array]:
+def power_entries(A: Array, *degrees: int) -> list[tuple[Index, Index, Array]]:
     """Return row, column and value of every entry of A^[degree] that is not zero, row by row.
 
     Of a delayed packet, which only moves on, one entry of a row of A acts: few entries of its powers do.
 
     Args:
         A: (n, k).
-        degree: of the monomials, at least 1.
+        degrees: of the monomials, increasing, at least 1.
     """
     row: Index = np.zeros(1, np.intp)
-    column, values = row, np.ones(1)
-    for rows, columns in zip(monomials(A.shape[0], degree), monomials(A.shape[1], degree), strict=True):
+    column, values, found_of = row, np.ones(1), []
+    each_degree = zip(monomials(A.shape[0], degrees[-1]), monomials(A.shape[1], degrees[-1]), strict=True)
+    for degree, (rows, columns) in enumerate(each_degree, start=1):
         begin, end = np.searchsorted(row, [rows.parent, rows.parent + 1])
         before = np.concatenate([np.arange(a, b) for a, b in zip(begin, end)])
         row, width = np.repeat(np.arange(len(rows.first)), end - begin), len(columns.first)
@@ -208,7 +221,9 @@ def power_entries(A: Array, degree: int) -> tuple[Index, Index, Array]:
         place, which = np.unique(place[acts], return_inverse=True)
         row, column = np.divmod(place, width)
         values = np.asarray(np.bincount(which, found[acts]), dtype=np.float64)
-    return row, column, values
+        if degree in degrees:
+            found_of.append((row, column, values))
+    return found_of
 
 
 def power_of_row(row: Array, degree: int) -> Array:

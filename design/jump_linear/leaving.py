@@ -30,7 +30,7 @@ import numpy as np
 from msgspec import Struct
 
 from design.errors import NotStable
-from design.jump_linear.higher_moments import at, count, power, power_of_row
+from design.jump_linear.higher_moments import at, count, power_of_row, powers
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, like_units
 
 DEGREES = (2, 4, 6, 8, 10)
@@ -177,7 +177,11 @@ def leaving(
             rest = backward(A, transition, rest)
     kept = [d for d in DEGREES if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2]
     with np.errstate(over="ignore", invalid="ignore"):
-        every = [(d, *_of_degree(A, transition, scaled, S, pushes, d, max(slots, 1))) for d in kept]
+        moves, starts = ([*zip(*(powers(each, *kept) for each in matrices))] for matrices in (A, S))
+        every = [
+            (d, *_of_degree(move, start, transition, scaled, pushes, d, max(slots, 1)))
+            for d, move, start in zip(kept, moves, starts)
+        ]
     found = [each for each in every if np.isfinite(each[1]).all() and np.isfinite(each[2]).all()]  # a power may be too large
     if not found:
         raise NotStable("no region was found: its moments leave the range of floating point")
@@ -189,17 +193,19 @@ def leaving(
     )  # fmt: skip
 
 
-def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, degree: int, slots: int) -> tuple[Array, Array]:
+def _of_degree(
+    moves: Sequence[Any], starts: Sequence[Any], transition: Array, U: Array, pushes: Array, degree: int, slots: int
+) -> tuple[Array, Array]:
     """(E u_l(k)^d) in the monomials of y, (K, m, s N, count), and what all pushes add up to, (m,)."""
     from scipy.sparse import vstack  # where a command has no limits, it is not needed
 
     N, m = U.shape[:2]
-    move = _all_modes([power(a, degree).T for a in A])
-    start = vstack([power(each, degree).T for each in S], format="csr")  # (s count(k), count)
+    move, begins = _all_modes([each.T for each in moves]), len(starts)
+    start = vstack([each.T for each in starts], format="csr")  # (s count(k), count)
     M = np.array([[power_of_row(row, degree) for row in rows] for rows in U]).transpose(0, 2, 1)  # (N, count, m)
     z = np.array([at(each, degree).T for each in pushes], order="C")  # (N, q, count)
     sizes, total = np.abs(z), np.zeros(m)
-    free = np.empty((slots, m, len(S) * N, start.shape[0] // len(S)))
+    free = np.empty((slots, m, begins * N, start.shape[0] // begins))
     for first in range(0, slots, TOGETHER):
         seen, means = np.empty((2, min(TOGETHER, slots - first), *M.shape))
         for forms, mean in zip(seen, means):
@@ -207,8 +213,8 @@ def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, d
             np.matmul(transition, M.reshape(N, -1), out=mean.reshape(N, -1))
             M = move(mean)
         begun = start @ seen.transpose(2, 0, 3, 1).reshape(M.shape[1], -1)
-        free[first : first + len(seen)] = begun.reshape(len(S), -1, len(seen), m, N).transpose(2, 3, 0, 4, 1).reshape(
-            len(seen), m, len(S) * N, -1
+        free[first : first + len(seen)] = begun.reshape(begins, -1, len(seen), m, N).transpose(2, 3, 0, 4, 1).reshape(
+            len(seen), m, begins * N, -1
         )  # fmt: skip
         if z.size:
             columns = np.ascontiguousarray(means.transpose(1, 2, 0, 3)).reshape(N, M.shape[1], -1)

@@ -51,7 +51,7 @@ class MomentRecursion:
         self.aim(np.zeros(self.p))
         self.closed = structure.matrices(gains)
         self._moves: dict[tuple[object, ...], Callable[[Array], Array]] = {}
-        self._powers: dict[bytes, tuple[Any, Any]] = {}
+        self._powers: dict[bytes, list[Any]] = {}
         self._followed = _following(structure.transition)
         self.M: Array = np.empty(0)
 
@@ -111,7 +111,7 @@ class MomentRecursion:
     def _entries(self, A: Array, weights: Array) -> tuple[Array, ...]:
         """Rows, columns and values of what `_move` does in one mode."""
         if A.tobytes() not in self._powers:
-            self._powers[A.tobytes()] = power_entries(A, 2), power_entries(A, 4)
+            self._powers[A.tobytes()] = power_entries(A, 2, 4)
         (row, column, value), whole = self._powers[A.tobytes()]
         found, at = [whole], self.product.max() + 1
         error = np.flatnonzero(self.square)

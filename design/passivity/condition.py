@@ -252,7 +252,7 @@ def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int], *, 
     t = np.linspace(0.0, np.pi, 64 * max(taps.size, asked[-1] + 1) + 1)
     worst, unit = DampingNeeded(0.0, asked[0], 0.0), (2.0 / period_s) * float(np.abs(taps).sum())
     for _ in range(3):
-        offered = (2.0 / period_s) * (taps @ dirichlet(taps.size, t))
+        offered = (2.0 / period_s) * of_taps(taps, t)
         kernels = {delay: fejer(delay + 1, t) for delay in asked}
         if varying:
             kernels = {asked[-1]: np.sum([kernels[delay] for delay in asked], axis=0)}
@@ -273,6 +273,19 @@ def dirichlet(taps: int, t: Array) -> Array:
     l, s = np.arange(taps)[:, None], np.sin(t / 2.0)
     small = np.abs(s) < 1e-9
     return np.asarray(np.where(small, 2.0 * l + 1.0, np.sin((l + 0.5) * t) / np.where(small, 1.0, s)))
+
+
+def of_taps(taps: Array, t: Array) -> Array:
+    """Return sum c_l D_l(t), by Clenshaw's recurrence: one cosine for all taps.
+
+    Args:
+        taps: c_l.
+        t: angles in rad per sample.
+    """
+    twice, found, after = 2.0 * np.cos(t), np.zeros(t.shape), np.zeros(t.shape)
+    for tap in taps[::-1].tolist():
+        found, after = tap + twice * found - after, found
+    return found + after
 
 
 def fejer(order: int, t: Array) -> Array:

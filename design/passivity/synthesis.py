@@ -29,7 +29,7 @@ from msgspec import Struct
 
 from design.controllers.rendered_wall import MAX_TAPS, Coupler
 from design.errors import DesignError, FieldError, Infeasible
-from design.passivity.condition import dirichlet, fejer, is_passive_over
+from design.passivity.condition import dirichlet, fejer, is_passive_over, of_taps
 
 MARGIN = 1e-6  # of the smallest value on the circle, in units of T/(2 beta)
 ROUNDS = 12
@@ -181,7 +181,7 @@ def _shape(asked: _Asked) -> npt.NDArray[np.float64]:
     near = 1 + np.flatnonzero((gap[1:-1] >= gap[:-2]) & (gap[1:-1] > gap[2:]) & (gap[1:-1] > -1e-3 * shape.sum()))
     pieces = [np.linspace(fine[i - 1], fine[i + 1], 129) for i in near]
     between = np.asarray(np.concatenate([np.array([0.0, np.pi]), *pieces]), dtype=np.float64)
-    short = float((asked.needed(between) - shape @ dirichlet(asked.taps, between)).max())
+    short = float((asked.needed(between) - of_taps(shape, between)).max())
     shape[0] += max(short, 0.0) + MARGIN * float(shape.sum())
     return shape
 

@@ -157,7 +157,7 @@ def mismatches(
 
     Args:
         own: starts the controller.
-        stated: starts what it says that it is.
+        stated: starts what it says that it is; where that is the controller itself, it answers once for both.
         at_zero: rows of both for samples of zero.
         excitation: the inputs of both.
         nodes: the sensor nodes.
@@ -166,8 +166,9 @@ def mismatches(
     own_at_zero, stated_at_zero = at_zero
     found = []
     for size in sizes:
-        moved = answers(own(), excitation, size, nodes) - own_at_zero
-        expected = answers(stated(), excitation, size, nodes) - stated_at_zero
+        answered = answers(own(), excitation, size, nodes)
+        moved = answered - own_at_zero
+        expected = (answered if stated is own else answers(stated(), excitation, size, nodes)) - stated_at_zero
         if moved.shape != expected.shape:
             found.append(Mismatch(size=size, share=np.inf))
             continue
@@ -210,10 +211,10 @@ def shares_memory(own: Start, alone: Array, excitation: Excitation, nodes: Senso
     return not np.array_equal(alone, np.array([rows for _, rows in beside], dtype=float))
 
 
-def drift_at_zero(own: Start, excitation: Excitation, nodes: SensorNodes) -> float:
+def drift_at_zero(own: Start, excitation: Excitation, nodes: SensorNodes, runs: int = 2) -> float:
     """Return how far the answers change while every sample and reference is zero; inf where two runs differ."""
-    first, again = (answers(own(), excitation, 0.0, nodes) for _ in range(2))
-    if first.shape != again.shape or not np.array_equal(first, again):
+    first, *others = (answers(own(), excitation, 0.0, nodes) for _ in range(runs))
+    if not all(np.array_equal(first, again) for again in others):
         return np.inf
     apart = float(np.abs(first - first[0]).max())
     return apart if apart > 1e-9 * max(1.0, float(np.abs(first[0]).max())) else 0.0

@@ -192,6 +192,17 @@ def test_a_controller_that_is_not_its_table_is_not_certified(lie: str) -> None:
     assert found is None or not found.certified, lie
 
 
+def test_who_says_to_be_equal_to_all_is_compared_by_its_answers() -> None:
+    class Equal(Table):
+        def __eq__(self, other: object) -> bool:
+            return True
+
+        __hash__ = Table.__hash__
+
+    found = on_own(controller=Equal("last row"))
+    assert found is not None and found.state == "refused"
+
+
 @pytest.mark.parametrize(("other", "same"), [("small", "large"), ("large", "small")])
 def test_a_controller_that_is_its_table_on_samples_of_one_size_alone_is_non_linear(other: str, same: str) -> None:
     found = on_own(controller=Table(f"{other} samples"))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pytest
 
 import hil
-from design.controllers import LoopModel, SendAll, controller_traits
+from design.controllers import IntegralAction, LoopModel, SendAll, SeveralSamples, controller_traits
+from design.controllers.contract import ControllerTraits
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -81,6 +82,25 @@ def test_a_strangers_state_has_to_fit_its_table() -> None:
     Own.state_gains = np.array([[[1.0, 0.5]]])  # type: ignore[assignment]
     check_table(Own(), model)  # type: ignore[arg-type]
     assert controller_traits(Own()).state_gains == (((1.0, 0.5),),)
+
+
+def test_what_an_object_alone_has_is_said_and_a_class_made_of_a_protocol_is_none() -> None:
+    class Plain: ...
+
+    class Named(SeveralSamples):
+        samples = 2
+
+    @runtime_checkable
+    class Both(SeveralSamples, IntegralAction, Protocol): ...
+
+    plain: Any = Plain()
+    assert controller_traits(plain) == ControllerTraits() and not isinstance(plain, SeveralSamples)
+    plain.samples = 3
+    assert controller_traits(plain).samples == 3 and isinstance(plain, SeveralSamples)
+    assert isinstance(Named(), SeveralSamples) and not isinstance(plain, Named)
+    assert not isinstance(plain, Both) and controller_traits(Named()).samples == 2
+    plain.integral = True
+    assert isinstance(plain, Both)
 
 
 def test_a_design_and_its_file_have_the_verdict_of_the_loop_that_runs_them(shipped: Loop, tmp_path: Path) -> None:
