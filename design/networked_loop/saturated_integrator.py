@@ -15,6 +15,13 @@ in the end. Where b K < 0 for every gain and W < |b| L, z comes nearer to 0 in e
 long as |z| > D for a D > H + Delta M + F + W / (|b| K_low): the delayed sample has the sign of z, and the command that it asks
 for is stronger than what pushes. It passes D by one slot's motion M at most: in the end |z| <= D + M.
 
+A state of the controller's own, u(k) = K e(k) + L xi(k), xi(k+1) = G xi(k) + g e(k), remembers earlier samples:
+
+    u(k) = (K + sum_j h_j) e(k) + sum_j h_j (e(k - j) - e(k)),    h_j = L G ... G g with j - 1 factors G
+
+so that K + sum_j h_j stands for K, whatever the order of the tables. C x moves by N in a slot at most, in the end: beside it
+strays sum_j |h_j| ((Delta + j) N + 2 F). The first h_j are taken for every order, the rest in a norm in which every G shrinks.
+
 A signal r x is a filter of z beside what pushes, as b sat(u(k)) = z(k+1) - z(k) - w(k): with h_j = r (I - v l) (A (I - v l))^j B,
 
     |r x| <= (|r v + h_0 / b| + sum_j |h_{j+1} - h_j| / |b|) (D + M) + sum_q sum_j |r (I - v l) A^j (E_q - B l E_q / b)|
@@ -48,6 +55,8 @@ SHOWN = 1e-9
 SETTLED = 1e-3
 """Row sum of |S^J| up to which J slots of a stable part are summed one by one."""
 MOST_SLOTS = 20_000
+MOST_ORDERS = 20_000
+"""Orders of the tables for which what a controller remembers is taken one by one."""
 
 
 MOST_STATES = 200
@@ -75,6 +84,8 @@ class LimitedMotion(NamedTuple):
         limit: L, largest command that acts.
         b, W, M: of z, see the module.
         apart: H + Delta M + F.
+        slope: N, by which C x moves in a slot at most.
+        earlier: Delta N + 2 F.
         by_itself, rest: of C x and every x_i what they have of z, and beside it, (1 + n,).
         filtered, unfiltered: the same behind the filter of z.
     """
@@ -84,24 +95,53 @@ class LimitedMotion(NamedTuple):
     W: float
     M: float
     apart: float
+    slope: float
+    earlier: float
     by_itself: Array
     rest: Array
     filtered: Array
     unfiltered: Array
 
-    def ends_in_every_order(self, gains: Array) -> Ends:
+    def ends_in_every_order(self, gains: Array, own: Array | None = None) -> Ends:
         """Return where the loop ends, whatever the order of its delays.
 
         Args:
-            gains: every gain that may act, of one sign.
+            gains: every gain that may act, of one sign; with a controller's own state by tables, (tables, rows, 1 + c).
+            own: (tables, c, 1 + c), what makes that state.
 
         Raises:
             DesignError: the gains do not lead back to 0; in words.
         """
-        if not gains.size or not (self.b * gains < 0.0).all():
+        if own is None:
+            acts, strays, unknown = gains, np.zeros(gains.shape), np.zeros(gains.shape)
+        else:
+            acts, strays, unknown = self._remembered(gains, own)
+        if not gains.size or not (self.b * acts + abs(self.b) * unknown < 0.0).all():
             raise DesignError("not every gain leads the integrator back")
-        D = self.apart + self.W / (abs(self.b) * float(np.abs(gains).min()))
+        least = np.abs(acts) - unknown
+        D = float((((least + 2.0 * unknown) * self.apart + strays + self.W / abs(self.b)) / least).max())
         return self._ends(D + self.M)
+
+    def _remembered(self, gains: Array, own: Array) -> tuple[Array, Array, Array]:
+        """Return by what a z that stays is multiplied, what strays beside it, and how far the first is not known, (orders,) each.
+
+        Args:
+            gains, own: see `ends_in_every_order`.
+        """
+        both = np.unique(np.concatenate([gains, own], axis=1), axis=0)
+        gains, own = both[:, : gains.shape[1]], both[:, gains.shape[1] :]
+        shrinks, norm = _shrinking(own[:, :, 1:])
+        acts, of = gains[:, :, 0].ravel(), gains[:, :, 1:].reshape(-1, own.shape[1])
+        strays, slots, seen = np.zeros(len(acts)), 0, np.linalg.inv(norm)
+        made = float(np.linalg.norm(norm @ own[:, :, :1], axis=1).max()) / (1.0 - shrinks)
+        while ((unknown := np.linalg.norm(of @ seen, axis=1) * made) > SHOWN * np.abs(acts)).any():
+            if len(acts) * len(own) > MOST_ORDERS:
+                break
+            slots += 1
+            more = (of @ own[:, :, 0].T).ravel()
+            strays = np.repeat(strays, len(own)) + np.abs(more) * (self.earlier + slots * self.slope)
+            acts, of = np.repeat(acts, len(own)) + more, np.einsum("ic,tcd->itd", of, own[:, :, 1:]).reshape(-1, own.shape[1])
+        return acts, strays + unknown * (self.earlier + (slots + 1.0 / (1.0 - shrinks)) * self.slope), unknown
 
     def ends_in_mean(self, gains: Array, chances: Array) -> Ends:
         """Return within which root mean squares the loop ends.
@@ -153,12 +193,16 @@ def limited_motion(A: Array, B: Array, C: Array, *, limit: float, delay: int, pu
     if not abs(b) * limit > W:
         raise DesignError("what departs is as strong as the limited command")
     M = abs(b) * limit + W
-    aside, rows = np.eye(n) - np.outer(v, l), np.vstack([C, np.eye(n)])
+    aside, rows, moves = np.eye(n) - np.outer(v, l), np.vstack([C, np.eye(n)]), np.hstack([limit * B, pushes])
     S = aside @ A
-    rest = _sums(S, aside @ np.hstack([limit * B, pushes]), rows)
+    *rest, faster = _sums(S, aside @ moves, np.vstack([rows, C @ (A - np.eye(n))]))
+    slope = float(faster + np.abs(C @ moves).sum())
     filtered = np.abs(rows @ (v + aside @ B[:, 0] / b)) + _sums(S, aside @ B, rows @ (S - np.eye(n))) / abs(b)
     unfiltered = _sums(S, aside @ (pushes - np.outer(B[:, 0], l @ pushes) / b), rows)
-    return LimitedMotion(limit, b, W, M, float(rest[0]) + delay * M + adds, np.abs(rows @ v), rest, filtered, unfiltered)
+    return LimitedMotion(
+        limit, b, W, M, float(rest[0]) + delay * M + adds, slope, delay * slope + 2.0 * adds, np.abs(rows @ v), np.array(rest),
+        filtered, unfiltered,
+    )  # fmt: skip
 
 
 def _mean_square(drift: Array, chances: Array, D: float, eta: float, M: float, g: float) -> float:
@@ -168,6 +212,25 @@ def _mean_square(drift: Array, chances: Array, D: float, eta: float, M: float, g
         return np.inf
     Q = max(float(np.exp(eta * M) * (chances @ c).max() / ((1.0 - g) * c.min())), 1.0)
     return float((D + (1.0 + np.log(Q)) / eta) ** 2 + 1.0 / eta**2)
+
+
+def _shrinking(G: Array) -> tuple[float, Array]:
+    """Return by what every one of some matrices, (tables, c, c), shrinks |R x| at least, and R, (c, c).
+
+    Raises:
+        DesignError: no R was found; in words.
+    """
+    c = G.shape[-1]
+    squares = np.mean([np.kron(each.T, each.T) for each in G], axis=0)
+    try:
+        P = np.linalg.solve(np.eye(c * c) - squares, np.eye(c).ravel()).reshape(c, c)
+        R = np.asarray(np.linalg.cholesky(0.5 * (P + P.T)).T, dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise DesignError("the controller's own state may grow") from None
+    shrinks = float(np.linalg.norm(R @ G @ np.linalg.inv(R), 2, axis=(1, 2)).max())
+    if not shrinks < 1.0:
+        raise DesignError("no norm was found in which the controller's own state shrinks in every order")
+    return shrinks, R
 
 
 def integrator(A: Array, C: Array) -> tuple[Array, Array]:

@@ -73,7 +73,7 @@ def ends_from_anywhere(
     its = controller_traits(controller)
     if not isinstance(controller, GainTable) or its.samples > 1 or (m, p) != (1, 1):
         return verdict
-    if (its.integrates and not its.integral_limit) or its.state_gains:
+    if its.integrates and not its.integral_limit:
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict
@@ -86,9 +86,10 @@ def ends_from_anywhere(
     try:
         motion = limited_motion(A, B, C, limit=float(limits[0]), delay=delay, pushes=pushes, adds=float(adds[0]))
         try:
-            ends, surely = motion.ends_in_every_order(table_of(loop, controller)[..., :p]), True
+            table = table_of(loop, controller)[:, :, 0, : p + its.order]
+            ends, surely = motion.ends_in_every_order(table, np.array(its.state_gains) if its.order else None), True
         except DesignError:
-            if loop.sc.open or loop.ca.open:
+            if loop.sc.open or loop.ca.open or its.order:
                 return verdict
             gains, chances = _acting(closed, integrator(A, C)[1], int(loop.ca.delay.max()))
             ends, surely = motion.ends_in_mean(gains, chances), False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,8 +26,8 @@ PUSHES = 0.006 * B
 
 
 def ends(limit: float = LIMIT, gains: Array = GAINS, delay: int = DELAY, pushes: Array = PUSHES, adds: float = 0.0019,
-         plant: tuple[Array, Array, Array] = (A, B, C)) -> Ends:  # fmt: skip
-    return limited_motion(*plant, limit=limit, delay=delay, pushes=pushes, adds=adds).ends_in_every_order(gains)
+         plant: tuple[Array, Array, Array] = (A, B, C), own: Array | None = None) -> Ends:  # fmt: skip
+    return limited_motion(*plant, limit=limit, delay=delay, pushes=pushes, adds=adds).ends_in_every_order(gains, own)
 
 
 def furthest(x: Array, order: str, seed: int = 0) -> Array:
@@ -45,6 +47,64 @@ def furthest(x: Array, order: str, seed: int = 0) -> Array:
 @pytest.mark.parametrize("order", ["latest", "random"])
 def test_no_order_of_delays_ends_outside(order: str, start: tuple[float, float]) -> None:
     assert (furthest(np.array(start), order) < ends().states).all()
+
+
+TABLES = np.array([[[-0.2, 0.05, -0.02], [-0.1, 0.02, 0.0]], [[-0.15, 0.03, 0.04], [-0.2, -0.1, 0.0]]])
+"""[table][row] of the sample and two states of the controller's own, and what makes these."""
+OWN = np.array([[[0.4, 0.3, 0.1], [1.0, 0.0, 0.0]], [[0.3, -0.4, 0.2], [1.0, 0.1, 0.0]]])
+
+
+def remembering(x: Array, order: str, tables: Array = TABLES, own: Array = OWN) -> Array:
+    """The largest |x| in the second half of a run with a controller that remembers, its packets up to a slot old."""
+    rng, past, xi, seen, packets = np.random.default_rng(1), [x] * DELAY, np.zeros(len(own[0])), np.zeros(2), []
+    for k in range(1600):
+        lag, d = (DELAY - 1, 1) if order == "latest" else (int(rng.integers(DELAY)), int(rng.integers(2)))
+        table = k % 2 if order == "latest" else int(rng.integers(2))
+        e = past[-1 - lag][0] + 0.0019 * np.sign(past[-1][0]) * (-1.0 if order == "latest" else 1.0)
+        packets, xi = [*packets[-1:], tables[table] @ np.append(e, xi)], own[table] @ np.append(e, xi)
+        u = packets[-1 - min(d, len(packets) - 1)][d]
+        x = A @ x + B[:, 0] * np.clip(u, -LIMIT, LIMIT) + PUSHES[:, 0] * np.sign(past[-1][1] or 1.0)
+        past, seen = [*past[1:], x], np.maximum(seen, np.abs(x)) if k >= 800 else seen
+    return seen
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (15.0, 0.0), (-8.0, 60.0)])
+@pytest.mark.parametrize("order", ["latest", "random"])
+def test_a_controller_that_remembers_ends_within_what_it_makes_of_earlier_samples(order: str, start: tuple[float, float]) -> None:
+    found = ends(gains=TABLES, own=OWN)
+    assert (remembering(np.array(start), order) < found.states).all() and found.output > ends(gains=TABLES[..., 0]).output
+
+
+def test_what_is_remembered_is_the_sum_over_every_order_of_tables() -> None:
+    motion = limited_motion(A, B, C, limit=LIMIT, delay=DELAY, pushes=PUSHES, adds=0.0019)
+    acts, strays, unknown = motion._remembered(TABLES, OWN)
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        xi, sums = np.zeros(2), np.zeros(2)
+        order = rng.integers(0, 2, 40)
+        for table in order:
+            xi = OWN[table] @ np.append(1.0, xi)
+        for row in (0, 1):
+            at = TABLES[order[-1], row] @ np.append(1.0, xi)
+            assert np.abs(at - acts).min() <= unknown.max() and sums.sum() == 0.0
+    once = motion._remembered(TABLES[:1, :1], OWN[:1])  # of one table every h_j is known
+    h, of = [], TABLES[0, 0, 1:]
+    for _ in range(200):
+        h, of = [*h, of @ OWN[0, :, 0]], of @ OWN[0, :, 1:]
+    slots = np.arange(1, 201)
+    assert once[0] == pytest.approx(TABLES[0, 0, 0] + np.sum(h)) and strays.shape == acts.shape
+    assert once[1] == pytest.approx(np.abs(h) @ (motion.earlier + slots * motion.slope))
+
+
+@pytest.mark.parametrize(
+    ("size", "weight", "said"),
+    [(1.5, 1.0, "own state may grow"), (1.2, 1.0, "no norm was found"), (0.5, 10.0, "not every gain leads"), (0.5, 1.0, "")],
+)
+def test_a_state_that_grows_in_some_order_or_leads_away_ends_nowhere(size: float, weight: float, said: str) -> None:
+    """Of two nilpotent tables each forgets, and both in turn grow by the square of 1.2, though seldom for long."""
+    own = np.array([[[0.3, 0.0, size], [0.3, 0.0, 0.0]], [[0.3, 0.0, 0.0], [0.3, size, 0.0]]])
+    with pytest.raises(DesignError, match=said) if said else nullcontext():
+        ends(gains=TABLES * [1.0, weight, weight], own=own)
 
 
 def test_the_bound_is_near_to_what_a_late_order_reaches() -> None:

@@ -85,6 +85,23 @@ def test_what_it_leans_on_turns_it() -> None:
     assert "ends_surely_within" in verdict_of(composed(controller=table)).details
 
 
+def test_a_controller_with_a_state_ends_within_where_all_that_it_remembers_leads_back() -> None:
+    """Gains that know the measured delay lead away after some orders of it; from 15 rad commands saturate for 10 s."""
+    asked = {"kind": "designed", "order": 2, "input_weight": 0.5, "reference_weight": 3.0}
+    loop = composed(controller={**asked, "information": "constant"})
+    bounds, controller = bounds_of(verdict_of(loop)), loop.controller
+    assert isinstance(controller, SendAll) and verdict_of(loop).certified
+    table = {"kind": "send-all", **{name: getattr(controller, name) for name in ("selection", "gains", "state_gains")}}
+    late = {"network.sc.law": LATEST | {"age": 2}, "network.ca.law": LATEST | {"age": 1}}
+    far = {"plant.initial_angle_rad": 15.0, "limits.input": [100.0], "duration": 30}
+    for order in ({}, late):
+        state = simulate(composed(controller=table, **far, **order), 3, ["/plant/state"]).arrays["/plant/state"]
+        assert len(state) == 600 and np.abs(state["angle"][:20]).max() > 2.0 * bounds["angle"]
+        assert all(np.abs(state[name][400:]).max() < bound for name, bound in bounds.items())
+    known = verdict_of(composed(controller={**asked, "information": "applied"}))
+    assert known.state == "undecided" and "ends_surely_within" not in known.details
+
+
 def test_gains_that_lead_away_seldom_end_within_in_the_mean_and_often_are_undecided() -> None:
     """Two of the published H-infinity gains are positive; the more often they act, the further the loop ends."""
     late = {"network.ca.law": {"kind": "markov", "matrix": [[0.3, 0.7], [0.3, 0.7]]}}
