@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from itertools import count
+from math import isfinite
 from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
@@ -43,6 +44,20 @@ def read_dbc(text: str) -> Any:
         return cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:  # of any kind, from whatever stands in the file
         raise ValueError(f"is no DBC: {str(error).partition(chr(10))[0]:.200}") from error
+
+
+def start_numbers(message: Any) -> dict[str, float]:
+    """Return what travels in each signal of a message of `cantools` by default: its start value (GenSigStartValue), else 0.
+
+    Args:
+        message: of a database of `read_dbc`; of another start value than its signal can hold the nearest is taken.
+    """
+    found: dict[str, float] = {}
+    for signal in message.signals:
+        number, top = float(signal.raw_initial or 0), 2 ** (signal.length - bool(signal.is_signed)) - 1
+        whole = round(min(max(number, -top - 1 if signal.is_signed else 0), top)) if isfinite(number) else 0
+        found[signal.name] = number if signal.is_float else whole
+    return found
 
 
 class _Signal(NamedTuple):

@@ -36,6 +36,7 @@ COMMANDS = {
     "compare": ("compare:compare", "Compare experiments under common random numbers."),
     "rig": ("one_end:rig", "Run only the rig of an experiment, and wait for a controller on a link."),
     "controller": ("one_end:controller", "Run only the controller of an experiment, on a link."),
+    "traffic": ("one_end:traffic", "Send the messages of a CAN bus's other nodes, as its DBC has them."),
     "design": ("design:command", "Solve a design and certify it."),
     "solve": ("list:solve", "Solve the gains of an experiment and store them beside it."),
     "identify": ("identify:command", "Estimate a plant, a network law or rates of faults from records."),

@@ -1,14 +1,17 @@
-"""``hil rig``, ``hil controller``, ``hil discover``, ``hil keys``: one end of a loop whose other end runs elsewhere.
+"""``hil rig``, ``hil controller``, ``hil traffic``, ``hil discover``, ``hil keys``: one end of a loop, the other is elsewhere.
 
-Who is there; and keys and certificates that let one controller command, and no other.
+What else is on its bus; who is there; and keys and certificates that let one controller command, and no other.
 """
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Sequence
+from heapq import heapify, heapreplace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -16,9 +19,12 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import PATH, Duration, Questions
 from hil.cli.run import LONGEST_WAIT_S, run, session_options
 from hil.cli.terminal import Working, answer, json_option, visible
-from hil.errors import nearest
+from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
+    from can import BusABC
+
+    from hil.experiment.nodes import TrafficTable
     from hil.runtime.real.controller_process import ControllerReport
 
 NONE_THERE = 1  # exit status: neither rig nor controller
@@ -76,6 +82,85 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
     begun = f"controller of {loop.experiment.name} on {uri}; Ctrl-C ends it"
     say(serve(loop, uri, opened=lambda: say(begun), at_end=at_end, warn=say))
     raise SystemExit(1)
+
+
+@click.command()
+@click.argument("file", type=PATH, metavar="TRAFFIC")
+@click.argument("link", metavar="can:INTERFACE:CHANNEL")
+@click.option("--without", multiple=True, metavar="NODE", help="Leave out the messages of this node: it is there itself.")
+def traffic(file: Path, link: str, without: tuple[str, ...]) -> None:
+    """Send the messages of a CAN bus's other nodes: hil traffic car.dbc can:socketcan:vcan0 --without Drive --without Bench
+
+    TRAFFIC is a .dbc, whose messages with a cycle time (GenMsgCycleTime) are sent with the start values of their signals, or a
+    .csv as of hil can analyse. So a controller under test has its bus around it. Runs until Ctrl-C, and says how many were sent.
+    """
+    from hil.rig.named_files import read_traffic
+
+    found, _ = read_traffic(file, start_values=True)
+    nodes = sorted({each.node for each in found})
+    for name in without:
+        if name not in nodes:
+            raise HilError(f"--without: none of the messages of {file} is sent by {name!r} (its nodes: {', '.join(nodes)})")
+    messages = [each for each in found if each.node not in without]
+    if not messages:
+        raise HilError(f"--without: nothing is left of {file}")
+
+    with _bus(link, fd=any(each.fd for each in messages)) as bus:
+        _send_again_and_again(bus, messages, link)
+
+
+def _bus(link: str, *, fd: bool) -> BusABC:
+    """Return a bus of python-can.
+
+    Raises:
+        HilError: it cannot be had.
+    """
+    from transport.links import TransportError, split_uri
+    from transport.links.can_open import check_options, remedy, value_of
+    from transport.links.python_can import can
+
+    try:
+        scheme, address, options = split_uri(link)
+        if scheme != "can":
+            raise HilError(f"link {link!r}: expected can:INTERFACE:CHANNEL, such as can:socketcan:vcan0")
+        check_options(link)
+        interface, _, channel = address.partition(":")
+        said: dict[str, Any] = {name: value_of(text) for name, text in options.items()}
+        return can.Bus(channel, interface=interface, ignore_config=True, **{"fd": fd, **said})
+    except TransportError as error:
+        raise HilError(str(error)) from error
+    except (can.CanError, OSError, ValueError, TypeError) as error:
+        raise HilError(f"link {link!r}: {error}{remedy(interface, channel, error)}") from error
+
+
+def _send_again_and_again(bus: BusABC, messages: Sequence[TrafficTable], link: str) -> NoReturn:
+    """Send each message in its period until an exception such as Ctrl-C's; one that is not due in time is sent when it can be."""
+    from hil.runtime.clock import RealClock, monotonic_ns
+    from transport.links.python_can import can
+
+    due = [(round(each.offset * 1e9), number) for number, each in enumerate(messages)]
+    heapify(due)
+    clock, sent, lost = RealClock(monotonic_ns()), 0, 0
+    print(f"{len(messages)} messages onto {visible(link)}; Ctrl-C ends it", flush=True)
+    try:
+        while True:
+            at, number = due[0]
+            clock.wait_until(at)
+            each, now = messages[number], clock.now()
+            if now < at:  # a signal came
+                continue
+            data = os.urandom(each.length) if each.data is None else bytes.fromhex(each.data)
+            try:
+                bus.send(can.Message(
+                    arbitration_id=each.can_id, is_extended_id=each.extended, is_fd=each.fd, bitrate_switch=each.fd, data=data,
+                ))  # fmt: skip
+                sent += 1
+            except (can.CanError, OSError):
+                lost += 1
+            period = max(round(each.period * 1e9), 1)
+            heapreplace(due, (at + period * max(1, -((at - now) // period)), number))
+    finally:
+        print(f"{sent} frames sent, {lost} found no room", flush=True)
 
 
 @click.command()

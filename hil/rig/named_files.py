@@ -21,7 +21,7 @@ from hil.experiment.tables import Experiment
 from hil.files import open_regular
 from hil.files.can_logs import CAN_LOG_ENDINGS, can_frames
 from transport.can_bus_model import CanFrame
-from transport.dbc import read_dbc
+from transport.dbc import read_dbc, start_numbers
 from transport.errors import FieldError
 from transport.laws import NetworkLaw, load_files, slots_served
 from transport.wire import frame_length
@@ -102,11 +102,12 @@ _CELLS: Final[dict[str, tuple[Callable[[str], Any], str]]] = {
 """What a cell of a column is read by, and what it holds; any other is text."""
 
 
-def read_traffic(path: Path) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
+def read_traffic(path: Path, *, start_values: bool = False) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
     """Return the messages of a file that ends in .csv or .dbc, and the names of those that say no cycle time.
 
     Args:
         path: a CSV file has a head with the keys of a traffic table, ``can_id`` and ``period`` among them.
+        start_values: whether the messages of a DBC have the start values of their signals as data, in place of random ones.
 
     Raises:
         HilError: it cannot be read, or says something that no message has; with the line or the name of the message.
@@ -117,7 +118,7 @@ def read_traffic(path: Path) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]
         text = file.read(LARGEST + 1).decode("utf-8-sig" if path.suffix == ".csv" else "cp1252")
     if len(text) > LARGEST:
         raise HilError(f"{path}: more than {LARGEST} characters")
-    found, others = (_of_csv(path, text), ()) if path.suffix == ".csv" else _of_dbc(path, text)
+    found, others = (_of_csv(path, text), ()) if path.suffix == ".csv" else _of_dbc(path, text, start_values)
     if not found:
         missing = "" if path.suffix == ".csv" else ": none says its cycle time by GenMsgCycleTime"
         raise HilError(f"{path}: no message that is sent again and again{missing}")
@@ -170,7 +171,7 @@ def _sound(values: dict[str, Any]) -> TrafficTable:
         raise ValueError(str(error)) from error
 
 
-def _of_dbc(path: Path, text: str) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
+def _of_dbc(path: Path, text: str, start_values: bool) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
     with located(path, ValueError):
         database = read_dbc(text)
     found = []
@@ -182,6 +183,8 @@ def _of_dbc(path: Path, text: str) -> tuple[tuple[TrafficTable, ...], tuple[str,
                     "length": message.length, "extended": message.is_extended_frame, "fd": bool(message.is_fd),
                     "node": message.senders[0] if message.senders else "",
                 }  # fmt: skip
+                if start_values:
+                    values["data"] = message.encode(start_numbers(message), scaling=False, strict=False).hex()
                 found.append(_sound(values))
     return tuple(found), tuple(message.name for message in database.messages if not message.cycle_time)
 

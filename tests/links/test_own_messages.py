@@ -105,6 +105,7 @@ def test_factors_references_and_counters(bench: Bench) -> None:
     for k in range(18):
         bench.ask(math.pi / 2, reference=(2.0,))
         said = bench.seen(2)
+        assert [*said] == ["Setpoint", "Encoder"], "who answers the sample knows the reference"
         assert said["Encoder"]["Angle"] == 90 and said["Setpoint"] == {"Wanted": -20}
         assert said["Encoder"]["Alive"] == (k + 2) % 16, "after that of the hello"
 

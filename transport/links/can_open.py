@@ -74,7 +74,7 @@ def open_can(uri: str, role: Role) -> CanLink:
     else:
         identifiers, wanted = derived(nodes=len(messages.outputs)), messages.filters()
         owned = [frame["can_id"] for frame in wanted]
-    arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
+    arguments: dict[str, Any] = {name: value_of(text) for name, text in options.items()}
     if interface == "udp_multicast":
         arguments.setdefault("hop_limit", 0)  # python-can's default of 1 puts every frame on the local network
     quiet = role == "controller"  # the rig says of both that a bit rate times nothing
@@ -103,7 +103,7 @@ def open_can(uri: str, role: Role) -> CanLink:
             link = CanLink(uri, role, join, identifiers=identifiers, fd=packed, pad=pad == "1", claims=claims)
         except Exception as error:  # a back end without its driver raises anything, a NameError for instance
             said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-            raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
+            raise TransportError(f"link {uri!r}: {said}{remedy(interface, channel, error)}") from error
         held.pop_all()
     return link
 
@@ -203,7 +203,8 @@ def _world(interface: str) -> object:
     return os.getpid() if interface == "virtual" else namespace("net")
 
 
-def _value(text: str) -> int | float | bool | str:
+def value_of(text: str) -> int | float | bool | str:
+    """Return what an option of a URI says: a number, true or false, or the text."""
     if text in ("true", "false"):
         return text == "true"
     for read in (lambda: int(text, 0), lambda: float(text)):
@@ -212,7 +213,8 @@ def _value(text: str) -> int | float | bool | str:
     return text
 
 
-def _remedy(interface: str, channel: str, error: BaseException) -> str:
+def remedy(interface: str, channel: str, error: BaseException) -> str:
+    """Return what helps where an interface cannot be had, after a semicolon; nothing where that is not known."""
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if interface == "socketcan" and code == EAFNOSUPPORT:
         return "; this kernel has no CAN: use can:hil:rig0, or run inside `hil vcan -- COMMAND`"

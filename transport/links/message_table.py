@@ -234,12 +234,3 @@ def _place(option: str, key: int, signal: Any, scale: float) -> Place:
     if not low < high:
         raise FieldError(option, f"signal {signal.name}: its limits {low:g} and {high:g} leave it one value, or none")
     return Place(key, signal.name, scale, factor, offset, low, high, real)
-
-
-def start_values(message: Any) -> dict[str, float]:
-    """Return what travels in each signal of a message by default: its start value (GenSigStartValue), else 0.
-
-    Args:
-        message: of `cantools`.
-    """
-    return {s.name: _place("dbc", 0, s, 1.0).sent(float(s.initial)) if s.initial else 0 for s in message.signals}

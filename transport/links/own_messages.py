@@ -14,9 +14,10 @@ from collections.abc import Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from transport.dbc import start_numbers
 from transport.links.can_datagram import ERROR, ID_MASK, REMOTE
 from transport.links.can_identifiers import derived
-from transport.links.message_table import MessageTable, start_values
+from transport.links.message_table import MessageTable
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_control, packet_size
 from transport.wire import HELLO, echo
 
@@ -44,7 +45,7 @@ class OwnMessages:
 
     def __init__(self, bus: Bus, table: MessageTable) -> None:
         self._bus, self._table = bus, table
-        self._raw = {key: start_values(message) for key, message in table.messages.items()}
+        self._raw = {key: start_numbers(message) for key, message in table.messages.items()}
         self._inputs = [math.nan] * len(table.inputs)
         self._came_at: dict[int, float] = {}
         self._fresh: set[int] = set()  # commands since the question
@@ -135,7 +136,8 @@ class OwnMessages:
         self._answers = 0 if seq == 0 else self._answers
         self._open = seq, echo(self._asked)
         self._asked = []
-        reached = [self._send(key) for key in sorted(due)]
+        in_order = sorted(due, key=lambda key: (key in table.measured, key))  # samples after references
+        reached = [self._send(key) for key in in_order]
         if known and (not due & table.measured or self._stands()):
             self._answer()
         return all(reached)

@@ -325,7 +325,7 @@ def test_an_interface_that_is_down_or_too_narrow_is_refused_with_the_remedy(
 def test_what_an_interface_says_is_followed_by_what_helps(
     interface: str, channel: str, error: Exception, remedy: str | None
 ) -> None:  # fmt: skip
-    said = can_open._remedy(interface, channel, error)
+    said = can_open.remedy(interface, channel, error)
     assert said.startswith(remedy) if remedy else said == ""
 
 
