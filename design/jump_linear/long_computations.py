@@ -35,8 +35,9 @@ def gmres(
     *,
     tolerance: float = 1e-13,
     start: Array | None = None,
+    products: int = PRODUCTS,
 ) -> Array | None:
-    """Return x with apply(x) = right, or None if it was not found within `PRODUCTS` products.
+    """Return x with apply(x) = right, or None if it was not found within so many products.
 
     scipy's GMRES spends two thirds of its time in Python around products of 20 to 50 us, and on the edge of stability it runs for
     thousands of products and then returns a vector that misses its tolerance. This one keeps its basis in one array and says
@@ -47,6 +48,7 @@ def gmres(
         right: (size,).
         tolerance: residual to reach, as a share of |right|.
         start: (size,) a guess of x; default zero.
+        products: most of them.
     """
     scale = float(np.linalg.norm(right))
     if scale == 0.0:
@@ -57,7 +59,7 @@ def gmres(
         if float(np.linalg.norm(residual)) <= tolerance * scale:
             return x
     while True:
-        step, used = _cycle(apply, residual, tolerance * scale, min(BASIS, PRODUCTS - spent))
+        step, used = _cycle(apply, residual, tolerance * scale, min(BASIS, products - spent))
         x, spent = x + step, spent + used + 1
         new = right - apply(x)
         size, before = float(np.linalg.norm(new)), float(np.linalg.norm(residual))
@@ -66,7 +68,7 @@ def gmres(
             return None
         if size <= tolerance * scale:
             return x
-        if spent >= PRODUCTS - 1 or size > 0.5 * before:  # rounding lets it fall no further, or it does not converge
+        if spent >= products - 1 or size > 0.5 * before:  # rounding lets it fall no further, or it does not converge
             return x if size <= max(ACCEPTABLE, tolerance) * scale else None
 
 

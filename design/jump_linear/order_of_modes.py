@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import NotStable
-from design.jump_linear.long_computations import gmres, spectral_radius
+from design.jump_linear.long_computations import PRODUCTS, gmres, spectral_radius
 from design.jump_linear.second_moment import (
     EIG_DENSE_AFTER,
     EIG_DENSE_LIMIT,
@@ -174,7 +174,7 @@ def periodic_cost(A: Array, transition: Array, Q: Array) -> Array:
     n, classes = A.shape[-1], cyclic_classes(transition)
     steps, S = _steps(A, transition, classes), np.zeros_like(Q)
     once = _back(steps, [Q[now] for now in classes], np.zeros_like(Q[classes[0]]))[0]
-    found = gmres(lambda vector: vector - _around(steps, n, vector), to_vector(once).ravel())
+    found = gmres(lambda vector: vector - _around(steps, n, vector), to_vector(once).ravel(), products=10 * PRODUCTS)
     if found is None:
         raise NotStable("the cost was not found: the loop is too near to one that is not mean-square stable")
     each = _back(steps, [Q[now] for now in classes], to_matrix(found.reshape(len(classes[0]), -1), n))

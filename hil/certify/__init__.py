@@ -96,6 +96,18 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         return self.once(f"motion, taken over: {self.taken_over is not None}", lambda: motion_of(self.plant, self.nominal))
 
     @property
+    def stacked(self) -> LoopModel:
+        r"""The motion of (x(k), ..., x(k - \tau)) where past states act on the plant; the motion itself where none do."""
+        model, plant = self.motion, self.plant
+        delayed = np.asarray(plant.state_delays()) if isinstance(plant, HasStateDelays) else np.zeros(0)
+        if not delayed.any():
+            return model
+        n, size = len(model.A), len(model.A) * (len(delayed) + 1)
+        A, past = np.eye(size, k=-n), [(0, size - n), (0, 0)]
+        A[:n] = np.hstack([model.A, *delayed])
+        return msgspec.structs.replace(model, A=A, B=np.pad(model.B, past), C=np.pad(model.C, past[::-1]))
+
+    @property
     def nominal(self) -> LoopModel:
         """The plant's own model, which is what the controller knows unless another plant has taken over."""
         return self.model if self.taken_over is None else self.taken_over
@@ -225,7 +237,7 @@ def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict
 
     .. math:: E|x(k)|^2 \ge \Pr(\text{not yet}) \, |A^k x(0)|^2, \qquad \Pr(\text{not yet}) \sim c^k
     """
-    rate = float(np.abs(np.linalg.eigvals(loop.motion.A)).max())
+    rate = float(np.abs(np.linalg.eigvals(loop.stacked.A)).max())
     if verdict.state == "refused" and loop.silent and rate <= 1.0:
         return verdict.undecided(f"{verdict.reason} if the controller acted; {loop.silent}, and until then the input is 0")
     if verdict.state == "undecided" and loop.silent:

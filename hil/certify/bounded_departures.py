@@ -138,15 +138,23 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         return _undecided(verdict, f"{CLAMPED} beside a relative trigger")
     if loop.shares:
         beside = "a dead-band trigger beside a relative one"
-        return limited_to_model(loop.plant, _undecided(verdict, beside) if loop.slack else _by_share(loop, verdict, modes))
+        found = _undecided(verdict, beside) if loop.slack else _by_share(loop, verdict, modes)
+        return limited_to_model(loop.plant, found, knows_state_delays=True)
     pushed = pushed_by(loop, share)
+    limited = pushed is not None and bool(np.isfinite(pushed.within).any())
+    if pushed is not None and not limited and verdict.state == "refused" and not _by_bounds(loop):
+        return _grows_from_afar(verdict, pushed)
     if clamped and (pushed is None or not verdict.certified):
         return _undecided(verdict, CLAMPED)
     if pushed is None or not verdict.certified:
-        return limited_to_model(loop.plant, verdict) if not loop.slack else _undecided(verdict, "a dead-band trigger")
+        if loop.slack:
+            return _undecided(verdict, "a dead-band trigger")
+        return limited_to_model(loop.plant, verdict, knows_state_delays=True)
+    if limited and len(loop.stacked.A) > len(loop.motion.A):
+        return _undecided(verdict, f"{', '.join(pushed.names)} beside delayed states")
     from design.jump_linear.leaving import ultimate_bound
 
-    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    A, B, C = loop.stacked.A, loop.stacked.B, loop.stacked.C
     (n, m), p = B.shape, len(C)
     # the plant with what is added to its outputs as p states that last no slot
     closed, chances, applied, standing = modes(
@@ -154,8 +162,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     )
     kept, q = np.r_[0:n, n + p : closed.shape[-1]], pushed.states.shape[1]
     own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), q + p))
-    E[:, :n, :q], E[:, :, q:] = pushed.states, closed[:, kept][:, :, n : n + p] * pushed.outputs
-    limited = bool(np.isfinite(pushed.within).any())
+    E[:, : len(pushed.states), :q], E[:, :, q:] = pushed.states, closed[:, kept][:, :, n : n + p] * pushed.outputs
     ends = {}
     try:
         for row, signal in zip(C, loop.plant.outputs):
@@ -192,6 +199,28 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     return ends_from_anywhere(loop, region, within, limits=pushed.within, pushes=pushed.states, adds=pushed.outputs)
 
 
+def _by_bounds(loop: CertificationProblem) -> bool:
+    """Whether probabilities of a chain are known by bounds alone."""
+    return any(chain is not None and chain.between is not None for chain in (loop.sc, loop.ca))
+
+
+def _grows_from_afar(verdict: Verdict, pushed: Pushed) -> Verdict:
+    r"""Return the refusal of a linear loop as one of the loop that is pushed, by a bounded amount whatever its state is.
+
+    A family Q with E(A_i' Q_j A_i) = rho Q_i, rho > 1, is there (Krein and Rutman). In its seminorm |x|^2 = E x' Q x
+
+    .. math:: |x(k+1)| \ge \sqrt{\rho}\, |x(k)| - c, \qquad |e(k)| \le c,
+
+    so that from |x(0)| > c / (sqrt(rho) - 1) on it grows for ever.
+    """
+    named = ", ".join(pushed.names)
+    return replace(
+        verdict, kind="practical stability",
+        reason=f"with {named} it grows from far enough, for that pushes it by a bounded amount alone; without, {verdict.reason}",
+        method=f"{verdict.method}; what departs from it is bounded",
+    )  # fmt: skip
+
+
 def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
     """Return a verdict on the linear loop as one on samples that are wrong by a share, another in every slot and output."""
     what = "a relative trigger"
@@ -199,7 +228,7 @@ def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Ver
         return _undecided(verdict, what)
     from design.networked_loop.polytope import MOST_UNKNOWNS, family_growth
 
-    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    A, B, C = loop.stacked.A, loop.stacked.B, loop.stacked.C
     wrong = [l for l, share in enumerate(loop.shares) if share]
     signs = np.ones((2 ** len(wrong), len(C)))
     signs[:, wrong] += np.array(list(product((-1.0, 1.0), repeat=len(wrong)))) * np.array(loop.shares)[wrong]

@@ -46,7 +46,7 @@ def in_every_order(loop: CertificationProblem, sc: DelayChain, ca: DelayChain, m
         sc, ca: its chains, of which one at least says no probabilities (`DelayChain.open`).
         modes: makes the closed loop of a plant; what may follow has a probability above 0.
     """
-    motion = loop.motion
+    motion = loop.stacked
     closed = modes(motion.A, motion.B, motion.C)
     matrices, chances = closed.matrices, closed.chances
     ages = f"ages {_range(sc)} at the controller and {_range(ca)} at the actuator"
@@ -117,7 +117,7 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
-    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    A, B, C = loop.stacked.A, loop.stacked.B, loop.stacked.C
     found = certify_loop(A, B, C, sc, ca, gains, selection, samples=samples, integral=integral, state_gains=state)
     return ends_within(loop, second_moment_verdict(found, loop.digest), modes)
 
@@ -174,8 +174,8 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
         if loop.sc.open or loop.ca.open:
             return undecided(loop, "mean-square stability", "its matrices change with ages that have no probabilities")
         laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
-        verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
-        return limited_to_model(loop.plant, verdict)
+        verdict = judge_linear_law(loop.stacked, loop.sc, loop.ca, laws, selection, digest=loop.digest)
+        return limited_to_model(loop.plant, verdict, knows_state_delays=True)
     law, sc, ca = loop.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
 
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
@@ -185,7 +185,7 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
-    return ends_within(loop, judge_linear_law(loop.motion, sc, ca, law, digest=loop.digest), modes)
+    return ends_within(loop, judge_linear_law(loop.stacked, sc, ca, law, digest=loop.digest), modes)
 
 
 def _closed(structure: LoopStructure, gains: Array, C: Array) -> ClosedLoop:

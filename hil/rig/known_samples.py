@@ -6,9 +6,10 @@ all states that can be reached from slot 0 are enumerated as in `hil.rig.receive
 sample of slot k - j or before that is known. A node of which nothing younger than W slots is known, older than any packet when it
 comes, is held from its last sample, of any age, which is an entry h_l of the loop's state, taken as it becomes older:
 
-.. math:: h_l(k+1) = x_l(k - W) \ \text{if that sample is known in slot } k, \text{ else } h_l(k)
+.. math:: h_l(k+1) = x_l(k - W) \ \text{if a sample of the node is known in slot } k, \text{ else } h_l(k)
 
-So finitely many phases are exact, however many packets in a row get lost.
+It counts once none is known any more, and the last one that was known was of slot k - W then. So finitely many phases are exact,
+however many packets in a row get lost.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from design.controllers import HistoryGains, SensorNodes
 from design.controllers.sensor_nodes import PacketWindow, Turns, phase_at, window_of
 from design.historical_data import cycle
 from design.historical_data.sensor_schedule import PhaseGains
+from design.jump_linear.order_of_modes import led_to
 from hil.rig import RigSpec
 from hil.rig.received_ages import MOST_STATES, explored, media_and_channels, waiting
 from hil.rig.receiver import AgeChannel, Chance, Channel, OnWay, PacketChannel, Received
@@ -198,12 +200,16 @@ def phases_over(
         phase = counted.of(state.phase, state.sent)
         for sensor, kept in zip(rig.sensors, state.sent):
             own = list(sensor.outputs)
-            renewed[i, own] = bool(kept.known >> reach & 1)
+            renewed[i, own] = kept.known > 0
             for j in range(memory + 1) if phase is not None else ():
                 older = kept.known >> j
-                at = j + (older & -older).bit_length() - 1 if older else None if kept.known else reach + 1
-                if at is not None:
-                    gains[i, at][:, own] += K[phase, j][:, own]
+                held = j + (older & -older).bit_length() - 1 if older else None if kept.known else reach + 1
+                if held is not None:
+                    gains[i, held][:, own] += K[phase, j][:, own]
+    for sensor in rig.sensors:  # before the first packet of a node what is held of it is 0, and as good as renewed
+        own = list(sensor.outputs)
+        for at in np.flatnonzero(~led_to(transition > 0.0, renewed[:, own[0]])):
+            gains[at, -1][:, own], renewed[at, own] = 0.0, True
     return _without_unused(gains, transition / transition.sum(axis=1, keepdims=True), np.array(list(states.values())), renewed)
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from hil.experiment.nodes import ClockTable
 from hil.rig import RigSpec
 from hil.rig.receiver import Chance, Channel, Received, channel_of
 from hil.rig.sensors import Sensor
@@ -34,9 +35,13 @@ BANDS = ("dead-band", "relative")
 
 
 class State(NamedTuple):
-    """A state of the whole: number of the slot in the cycle, states of media and laws, packets of each node on their way."""
+    """A state of the whole: number of the slot in the cycle, states of clocks, media and laws, packets of nodes on their way.
+
+    Of a clock that draws: in how many slots from the next on its next sample is due, with what it draws and without.
+    """
 
     phase: int
+    clocks: tuple[tuple[int, int], ...]
     media: tuple[object, ...]
     laws: tuple[int, ...]
     sent: tuple[Any, ...]
@@ -120,8 +125,6 @@ def media_and_channels(
         if kind != "every-slot" and kind not in BANDS:
             said = "the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
             raise NotKnown(f"{trigger}, and {said}")
-        if sensor.clock.drawn:
-            raise NotKnown(f"{sensor.path}.clock draws when it sends")
     channels: list[Channel] = []
     for way, sensor in zip(arriving, rig.sensors):
         try:
@@ -138,7 +141,23 @@ def media_and_channels(
 def waiting(sensors: Sequence[Sensor], media: Sequence[SlottedMedium]) -> list[int]:
     """Return for how many slots at most a sample of each node waits for its medium."""
     members = {n for medium in media if medium.waits for n in medium.members}
-    return [s.clock.every - 1 if n in members else 0 for n, s in enumerate(sensors)]
+    return [s.clock.every + s.clock.jitter - 1 if n in members else 0 for n, s in enumerate(sensors)]
+
+
+def _drawn(clock: ClockTable, state: tuple[int, int] | None) -> Iterator[tuple[bool, tuple[int, int], float]]:
+    """Yield whether a clock that draws sends in a slot, its state after it, and the probability; `state` None: in slot 0."""
+    if state is None:
+        bases = range(clock.every) if clock.random_phase else (clock.phase,)
+        for base, late in product(bases, range(clock.jitter + 1)):
+            for fires, after, share in _drawn(clock, (base + late, base)):
+                yield fires, after, share / len(bases) / (clock.jitter + 1)
+        return
+    due, base = state
+    if due:
+        yield False, (due - 1, base - 1), 1.0
+        return
+    for late in range(clock.jitter + 1):
+        yield True, (base + clock.every + late - 1, base + clock.every - 1), 1.0 / (clock.jitter + 1)
 
 
 def explored(
@@ -159,23 +178,36 @@ def explored(
         NotKnown: there are too many.
     """
     too_many = f"media, clocks and laws together have more than {MOST_STATES} states"
+    draws = [n for n, sensor in enumerate(sensors) if sensor.clock.drawn]
+    if draws and not in_phase:
+        raise NotKnown(f"{sensors[draws[0]].path}.clock draws when it sends, and the network begins in the run")
     free = [n for n in range(len(sensors)) if not any(n in medium.members for medium in media)]
-    cycle = lcm(cycle, *(s.clock.every for s in sensors), *(medium.cycle for medium in media))
+    cycle = lcm(cycle, *(s.clock.every for s in sensors if not s.clock.drawn), *(medium.cycle for medium in media))
     if cycle > MOST_STATES:
         raise NotKnown(too_many)
     due = [[sensors[n].clock.every == 1 or t % sensors[n].clock.every == sensors[n].clock.phase
             for n in range(len(sensors))] for t in range(cycle)]  # fmt: skip
 
     def successors(state: State | None, t: int) -> Iterator[tuple[State, Chance]]:
+        clocks = [list(_drawn(sensors[n].clock, None if state is None else state.clocks[i])) for i, n in enumerate(draws)]
+        for drawn in product(*clocks):
+            sends, chance = list(due[t]), 1.0
+            for n, (fires, _, share) in zip(draws, drawn):
+                sends[n], chance = fires, chance * share
+            yield from in_slot(state, t, sends, tuple(after for _, after, _ in drawn), chance)
+
+    def in_slot(
+        state: State | None, t: int, sends: Sequence[bool], clocks: tuple[tuple[int, int], ...], drawn: float
+    ) -> Iterator[tuple[State, Chance]]:
         law_outcomes = [
             [(at, (share,) * 3) for at, share in channel.begins] if state is None else channel.follows(state.laws[n])
             for n, channel in enumerate(channels)
         ]
         before = [None] * len(media) if state is None else state.media
-        medium_outcomes = [list(medium.outcomes(at, t, due[t])) for medium, at in zip(media, before)]
-        of_free_nodes = {n: 0 for n in free if due[t][n]}
+        medium_outcomes = [list(medium.outcomes(at, t, sends)) for medium, at in zip(media, before)]
+        of_free_nodes = {n: 0 for n in free if sends[n]}
         for media_now in product(*medium_outcomes):
-            offers, chance = dict(of_free_nodes), 1.0
+            offers, chance = dict(of_free_nodes), drawn
             for _, own, share in media_now:
                 offers, chance = offers | own, chance * share
             for laws_now in product(*law_outcomes):
@@ -189,7 +221,7 @@ def explored(
                     for _, bounds in (*laws_now, *on_way_now):
                         chances = [a * b for a, b in zip(chances, bounds)]
                     media_states, on_way = tuple(m for m, _, _ in media_now), tuple(samples for samples, _ in on_way_now)
-                    yield State(t, media_states, laws, on_way), tuple(chances)  # type: ignore[misc]
+                    yield State(t, clocks, media_states, laws, on_way), tuple(chances)  # type: ignore[misc]
 
     begun = range(1 if in_phase else cycle)
     reachable: dict[State, float] = {}

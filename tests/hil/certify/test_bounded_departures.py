@@ -68,7 +68,6 @@ def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[s
     ("name", "changes"),
     [
         ("dc-motor-h2", {"plant.driver": {"saturation_v": 0.058}, "controller": INTEGRAL}),
-        ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {"kind": "local", "gain": [[-0.6]]}}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND, "controller": AGES}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND | {"kind": "error"}, "controller": NO_AGES}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND, "controller": NO_AGES, "network.media": {"bus": LOSSY_BUS}}),
@@ -77,6 +76,23 @@ def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[s
 def test_what_has_no_bound_stays_undecided(name: str, changes: dict[str, Any]) -> None:
     loop = composed(name, **changes)
     assert loop.verdict is not None and loop.verdict.state == "undecided"
+
+
+FAR = {"plant.initial_angle_rad": 1e3, "limits": {"watchdog_slots": 1000}, "duration": 8}
+
+
+@pytest.mark.parametrize(("name", "changes"), [
+    ("dc-motor-h2", {"plant.friction": DRY, "controller": {"kind": "local", "gain": [[-0.4515]]}}),
+    ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {"kind": "local", "gain": [[-0.4515]]}}),
+    ("dc-motor-two-nodes", {"controller": {"kind": "local", "gain": [[-0.6, -0.02]]}, "network.nodes.angle.trigger": BAND}),
+    ("dc-motor-h2", {"controller": INTEGRAL | {"gains": [[[[-0.5, -0.002]]]] * 3, "integral_limit": [5.0]}}),
+])  # fmt: skip
+def test_what_grows_grows_from_afar_whatever_bounded_departures_do(name: str, changes: dict[str, Any]) -> None:
+    loop = composed(name, **FAR, **changes)
+    assert loop.verdict is not None and loop.verdict.state == "refused" and "it grows from far enough" in loop.verdict.reason
+    assert loop.verdict.kind == "practical stability" and (loop.verdict.number or 0.0) > 1.0
+    squared = np.mean([simulate(loop, seed).arrays["/plant/state"]["angle"] ** 2 for seed in range(8)], axis=0)
+    assert squared[-40:].max() > 20.0 * squared[:40].max()
 
 
 @pytest.mark.parametrize(("kind", "a", "gain"), [("error", 1.0, -0.05), ("magnitude", 1.25, -1.25)])
@@ -137,9 +153,9 @@ def test_an_integral_that_leads_away_swings_for_ever_within_the_bound() -> None:
     assert bounds["angle"] / 40 < level <= bounds["angle"]
 
 
-def test_a_clamped_integral_over_an_unstable_rest_or_without_a_sum_of_bounds_is_undecided() -> None:
-    for loop in (clamped(1.0, (-2.0, -0.002)), clamped(1.0, (0.0, -0.1))):
-        assert loop.verdict is not None and loop.verdict.state == "undecided" and "a clamped integral" in loop.verdict.reason
+def test_a_clamped_integral_over_an_unstable_rest_is_refused_and_without_a_sum_of_bounds_undecided() -> None:
+    for loop, state in ((clamped(1.0, (-2.0, -0.002)), "refused"), (clamped(1.0, (0.0, -0.1)), "undecided")):
+        assert loop.verdict is not None and loop.verdict.state == state and "a clamped integral" in loop.verdict.reason
 
 
 def test_a_supply_that_saturates_is_left_where_the_limit_of_the_sum_takes_it() -> None:
@@ -261,3 +277,25 @@ def test_shares_that_change_in_every_slot_never_grow_faster_than_the_family(shar
         for wrong in rng.choice([-share, share, 0.0], size=length):
             whole = closed(wrong) @ whole
         assert np.abs(np.linalg.eigvals(whole)).max() ** (2.0 / length) <= loop.verdict.number
+
+
+def test_what_grows_is_not_refused_where_a_supply_bounds_it() -> None:
+    """The motor with a supply swings for ever within a bound that the linear loop leaves."""
+    changes = {"plant.driver": {"saturation_v": 5.0}, "plant.friction": DRY, "controller": {"kind": "local", "gain": [[-0.4515]]}}
+    loop = composed("dc-motor-h2", **FAR | {"plant.initial_angle_rad": 1.0}, **changes)
+    assert loop.verdict is not None and loop.verdict.state == "undecided"
+
+
+def test_a_dead_band_over_delayed_states_ends_within_its_bound() -> None:
+    """x(k+1) = 0.6 x(k) + 0.35 x(k-1) + u: what a sample is wrong by lasts, and the bound counts it."""
+    loop = compose(load_experiment("multisensor-published", **{
+        "plant": {"kind": "delayed-states", "A": [[0.6]], "delayed": [[[0.35]]], "B": [[1.0]], "weight": [[1.0]],
+                  "initial_state": [3.0]},
+        "controller": {"kind": "local", "gain": [[-0.01]]}, "network.media": {}, "limits": {}, "duration": 30,
+        "network.nodes": {"all": {"outputs": ["x1"], "trigger": {"kind": "dead-band", "threshold": 0.5}}},
+    }))  # fmt: skip
+    assert loop.verdict is not None and loop.verdict.kind == "practical stability" and loop.verdict.certified
+    bound = loop.verdict.details["ends_within"]["x1"]  # type: ignore[index]
+    assert bound >= 0.99 * 0.01 * 0.5 / (1.0 - 0.59 - 0.35)  # a sample that is wrong by 0.5 for ever, in the rest of the loop
+    end = np.abs(simulate(loop, 0).arrays["/plant/state"]["x1"][300:]).max()
+    assert end <= bound

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 import hil
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
+from hil.api.experiment_source import load_experiment as changed
 from hil.certify import CertificationProblem
 from hil.certify.certify import certifiers, certify
 from hil.compose import compose
@@ -243,8 +244,9 @@ def test_a_request_says_which_of_its_fields_is_wrong() -> None:
     assert RobustScheduled(sections=3).sections == 3
 
 
-@pytest.mark.parametrize(("delayed", "state"), [(0.9, "undecided"), (0.0, "certified")])
-def test_delayed_states_that_a_certifier_does_not_read_leave_it_undecided(tmp_path, delayed: float, state: str) -> None:
+@pytest.mark.parametrize("trigger", ["", 'trigger = { kind = "dead-band", threshold = 0.01 }'])
+@pytest.mark.parametrize(("delayed", "state"), [(0.9, "refused"), (0.3, "certified"), (0.0, "certified")])
+def test_delayed_states_count_with_and_without_a_trigger(tmp_path, delayed: float, state: str, trigger: str) -> None:
     """x(k+1) = 0.5 x(k) + 0.9 x(k-1) grows; 0.5 x(k) alone does not: the verdict turns with the matrix A_1."""
     path = tmp_path / "delayed.toml"
     path.write_text(f"""
@@ -268,10 +270,38 @@ def test_delayed_states_that_a_certifier_does_not_read_leave_it_undecided(tmp_pa
         [network]
         sc.law = {{ kind = "constant", age = 0 }}
         ca.law = {{ kind = "constant", age = 0 }}
+        [network.nodes.all]
+        outputs = ["x1"]
+        {trigger}
     """)
     verdict = compose(load_experiment(path)).verdict
     assert verdict is not None and verdict.state == state
-    assert ("delayed states" in verdict.reason) == (state == "undecided")
+    grows = float(np.abs(np.roots([1.0, -0.5, -delayed])).max())
+    assert verdict.number == pytest.approx(grows**2, rel=1e-6)
+
+
+def test_loops_over_plants_with_delayed_states_grow_as_their_verdicts_say() -> None:
+    """A node that sends in every third slot, by a table or a state of the controller's own: runs of 240 slots, whatever grows."""
+    rng, states = np.random.default_rng(4), set()
+    for n in range(8):
+        A, delayed, B = rng.normal(0, 0.5, (2, 2)), rng.normal(0, 0.4, (2, 2, 2)), rng.normal(0, 1, (2, 1))
+        feedback = {"kind": "local", "gain": rng.normal(0, 0.2, (1, 2)).tolist()}
+        if n % 2:
+            feedback = {"kind": "output-feedback", "A": [[0.4]], "B": [[0.3, 0.1]], "C": [[-0.3]], "D": [[-0.1, 0.0]]}
+        loop = compose(changed("multisensor-published", **{
+            "plant": {"kind": "delayed-states", "A": A.tolist(), "delayed": delayed.tolist(), "B": B.tolist(),
+                      "weight": np.eye(2).tolist(), "initial_state": [1.0, -1.0]},
+            "controller": feedback, "network.nodes": {"all": {"outputs": ["x1", "x2"], "clock": {"every": 3}}},
+            "network.media": {}, "limits": {"watchdog_slots": 1000}, "allow_uncertified": True, "duration": 12,
+        }))  # fmt: skip
+        assert loop.verdict is not None and loop.verdict.number is not None
+        run = simulate(loop, 0).arrays["/plant/state"]
+        sizes = np.hypot(run["x1"], run["x2"])
+        lasting = np.flatnonzero(sizes > 1e-4 * sizes.max() if loop.verdict.certified else sizes > 0.0)[-1]
+        first, last = np.log(sizes[lasting // 2 - 12 : lasting // 2].max()), np.log(sizes[lasting - 12 : lasting].max())
+        assert (last - first) / (lasting - lasting // 2) == pytest.approx(0.5 * np.log(loop.verdict.number), abs=0.03)
+        states.add(loop.verdict.state)
+    assert states == {"certified", "refused"}
 
 
 def test_a_proof_that_overflows_says_undecided() -> None:

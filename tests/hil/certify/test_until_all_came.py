@@ -23,7 +23,7 @@ def limited(
     """What becomes of a verdict where the plant grows by a rate and packets of node 1 stay away with a chance in every slot."""
     monkeypatch.setattr(certifier, "waiting_chance", lambda chain, waited, outputs: (chance, 1))
     loop: dict[str, Any] = {
-        "motion": SimpleNamespace(A=np.diag([-rate, 0.1])), "silent": silent, "sc": SimpleNamespace(between=between),
+        "stacked": SimpleNamespace(A=np.diag([-rate, 0.1])), "silent": silent, "sc": SimpleNamespace(between=between),
         "waited": (0, 1), "model": SimpleNamespace(nodes=SimpleNamespace(outputs=((0,), (1,)), names=("angle", "speed"))),
     }  # fmt: skip
     return limited_to_received(SimpleNamespace(**(loop | more)), verdict)  # type: ignore[arg-type]

@@ -179,10 +179,21 @@ def packets(rng: np.random.Generator) -> Case:
     return made, moments
 
 
+def drawing_clocks(rng: np.random.Generator) -> Case:
+    """Clocks with jitter or a random phase, over one gain and networks without delay."""
+    p = int(rng.integers(1, 3))
+    made = experiment(rng, plant(rng, int(rng.integers(p, 4)), p), controller=local(rng, p))
+    for n, node in enumerate(made["network.nodes"].values()):
+        every = int(rng.integers(2, 5))
+        node["clock"] = {"every": every, "jitter": int(rng.integers(1 - (n > 0), every))}
+        node["clock"] |= {"random_phase": True} if rng.random() < 0.4 else {"phase": int(rng.integers(every))}
+    return made, moments_of_clocks
+
+
 FAMILIES: dict[str, Callable[[np.random.Generator], Case]] = {
     "recorded ages": recorded, "clocks": clocked, "round robin": in_turns, "bus": on_a_bus, "Smith predictor": smith,
     "output feedback over nodes": output_feedback, "history with late commands": historical, "turns and losses by chance": drawn,
-    "packets of two nodes": packets,
+    "packets of two nodes": packets, "clocks that draw": drawing_clocks,
 }  # fmt: skip
 
 
@@ -271,6 +282,37 @@ def moments(loop: Loop) -> float:
         marks[k + 1] = total
     assert index
     return float(np.exp((marks[3 * span] - marks[2 * span]) / span))
+
+
+def moments_of_clocks(loop: Loop) -> float:
+    """Growth of E|X|^2 per slot, X = (x, what each node sent last); a mode: slots since each sample was due, and its jitter."""
+    K = np.array(loop.controller.gain)  # type: ignore[attr-defined]
+    A, B, C, clocks = loop.model.A, loop.model.B, loop.model.C, [sensor.clock for sensor in loop.rig.sensors]
+    n, p = len(A), len(C)
+    of_each = [list(product(range(clock.every), range(clock.jitter + 1))) for clock in clocks]
+    modes = {mode: i for i, mode in enumerate(product(*of_each))}
+    F, chances, M = (np.zeros((len(modes), *shape)) for shape in ((n + p, n + p), (len(modes),), (n + p, n + p)))
+    for mode, i in modes.items():
+        known = np.eye(p, n + p, k=n)
+        for l, (slot, late) in enumerate(mode):
+            if slot == late:
+                known[l] = np.pad(C[l], (0, p))
+        F[i, :n] = np.hstack([A, np.zeros((n, p))]) + B @ K @ known
+        F[i, n:] = known
+        after = [
+            [(slot + 1, late)] if slot + 1 < clock.every else [(0, again) for again in range(clock.jitter + 1)]
+            for clock, (slot, late) in zip(clocks, mode)
+        ]
+        following = [modes[each] for each in product(*after)]
+        chances[i, following] = 1.0 / len(following)
+        if all(clock.random_phase or slot == -clock.phase % clock.every for clock, (slot, _) in zip(clocks, mode)):
+            M[i] = np.eye(n + p)
+    total, slots = 0.0, 1200
+    for k in range(2 * slots):
+        M = np.einsum("ij,iab->jab", chances, F @ M @ F.transpose(0, 2, 1))
+        norm = float(np.trace(M.sum(axis=0)))
+        M, total = M / norm, total + np.log(norm) * (k >= slots)
+    return float(np.exp(total / slots))
 
 
 def _chain(law: Any, e: Any) -> tuple[list[int], np.ndarray]:

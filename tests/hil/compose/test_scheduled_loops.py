@@ -74,7 +74,6 @@ SHORT = {"kind": "trace", "ages": [0, 1, 0], "past_end": "refuse"}
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"network.nodes.n0": ONE | {"clock": {"every": 3, "jitter": 1}}}, "network.nodes.n0.clock draws when it sends"),
         ({"network.nodes.n0": ONE | {"trigger": {"kind": "error", "threshold": 0.1}}}, "lets a node keep silent"),
         (
             {"network.nodes.n0": ONE | {"trigger": {"kind": "relative", "threshold": 0.1}},
