@@ -210,6 +210,7 @@ def run_sweep(
     progress: Callable[[int], None] = lambda done: None,
     store: SweepStore | None = None,
     until: tuple[str, StopRule] | None = None,
+    loop: Loop | None = None,
 ) -> Sweep:
     """Run an experiment for every seed, or for as many as a confidence interval needs.
 
@@ -223,6 +224,7 @@ def run_sweep(
         store: where finished runs are kept, and taken from instead of being run again.
         until: (metric, StopRule). Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's
             numbers of runs, which is what its error rate needs; runs in which the metric is undefined do not count for it.
+        loop: of the experiment, where it is composed already.
 
     Raises:
         HilError: more than `MOST_RUNS`.
@@ -232,7 +234,7 @@ def run_sweep(
     done = {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
     look, interval, reached, interrupted = 0, None, False, 0
     wanted: Sequence[int] = seeds
-    loop = compose(experiment)
+    loop = loop or compose(experiment)
     refuse_unsound_measures(loop, rehearsal)
     ends = list(dict.fromkeys((seeds[0], seeds[-1])))
     alone = run_one_by_one(replace(loop, watched=None), ends) if foreign_parts(loop) else []

@@ -122,12 +122,12 @@ def run_candidate(question: TriggerQuestion, candidate: Candidate, runs: int = R
         KeyboardInterrupt: Ctrl-C came.
     """
     experiment = experiment_with(question, candidate)
-    verdict = compose(experiment).verdict
-    sweep = run_sweep(experiment, range(runs), workers=Workers(backend="serial"))
+    loop = compose(experiment)
+    sweep = run_sweep(experiment, range(runs), workers=Workers(backend="serial"), loop=loop)
     if sweep.interrupted:
         raise Terminated(sweep.interrupted - 128)
-    state, reason, ends = ("undecided", "no verdict", None) if verdict is None else (
-        verdict.state, verdict.reason, verdict.details.get("ends_within")
+    state, reason, ends = ("undecided", "no verdict", None) if loop.verdict is None else (
+        loop.verdict.state, loop.verdict.reason, loop.verdict.details.get("ends_within")
     )  # fmt: skip
     cost, packets = (interval_of(sweep.values[name]) for name in ("sse", "packets_per_s"))
     stopped = int(np.sum(sweep.values["stopped"]))

@@ -239,6 +239,8 @@ def _slowest(
 ) -> tuple[int | None, int]:  # fmt: skip
     """Return the largest response time in units, None without a bound, and how many of so many terms are left."""
     of_bus = [*higher, own]
+    before_it = [(each.jitter, each.period, each.length) for each in higher]
+    of_all = [*before_it, (own.jitter, own.period, own.length)]
     per_error = 0 if errors is None else ERROR_BITS * rates.bit + max(each.length for each in of_bus)
 
     def lost(units: int) -> int:
@@ -252,7 +254,7 @@ def _slowest(
         if (left := left - len(of_bus)) < 0:
             return None, left
         before = busy
-        busy = lost(busy) + blocking + sum(_ceil(busy + k.jitter, k.period) * k.length for k in of_bus)
+        busy = lost(busy) + blocking + _sent(busy, of_all)
     response, queued = 0, blocking
     for q in range(_ceil(busy + own.jitter, own.period)):
         before = -1
@@ -260,11 +262,15 @@ def _slowest(
             if (left := left - len(of_bus)) < 0:
                 return None, left
             before = queued
-            interference = sum(_ceil(queued + k.jitter + rates.bit, k.period) * k.length for k in higher)
-            queued = lost(queued + own.length) + blocking + q * own.length + interference
+            queued = lost(queued + own.length) + blocking + q * own.length + _sent(before + rates.bit, before_it)
         response = max(response, own.jitter + queued - q * own.period + own.length)
         queued += own.length
     return response, left
+
+
+def _sent(units: int, terms: Sequence[tuple[int, int, int]]) -> int:
+    """Frames of so many units, of messages by jitter, period and length: a loop of plain numbers, as a bus of 1000 has 10^6."""
+    return sum([-(-(units + jitter) // period) * length for jitter, period, length in terms])
 
 
 def _ceil(number: int, divisor: int) -> int:

@@ -30,7 +30,7 @@ def test_a_table_of_traffic_has_its_bounds_and_what_was_measured_below_them(sae:
     page = tmp_path / "bus.html"
     found = json.loads(run(str(sae), "--bitrate", "125k", "--duration", "2", "--json", "-o", str(page)))
     assert [each["bound_ms"] for each in found["messages"]] == list(BOUNDS_MS) and round(found["load"], 4) == 0.8574
-    assert "load at most" in page.read_text()
+    assert "Load at most" in page.read_text()
     assert all(0 < each["measured_ms"] <= each["bound_ms"] for each in found["messages"])
     assert found["messages"][2]["delayed_by"] == ["SAE 1", "SAE 2"]
     assert "every message meets its deadline" in page.read_text() and "SAE 17" in page.read_text()

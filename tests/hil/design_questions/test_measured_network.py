@@ -21,7 +21,8 @@ def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     law = "{kind='packet',latency={dist='uniform',loc='1 ms',scale='50 ms'},loss=0.01}"
     run = ["run", "dc-motor-packets", "--set", f"network.sc.law={law}", "--set", f"network.ca.law={law}"]
     assert cli(*run, "--set", "allow_uncertified=true", "--duration", "300", "-o", "link.mcap")[0] in (0, 3)
-    status, out, err = cli("design", "dc-motor", "--network", "link.mcap", "--starts", "1", "--json")
+    design = ("design", "dc-motor", "--starts", "1", "--information", "constant", "--json", "--network")
+    status, out, err = cli(*design, "link.mcap")
     assert status == 0, err
     said = json.loads(out)
     assert said["verdict"]["state"] == "certified"
@@ -34,7 +35,7 @@ def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     assert all(each.endswith("; none that comes more than 1 slot late, as none in the record does, is taken") for each in assumed)
     assert all("a correlation of neighbours below 0.065 is often missed; behind a late or lost one" in each for each in assumed)
     assert cli(*run, "--set", "allow_uncertified=true", "--duration", "20", "-o", "short.mcap")[0] in (0, 3)
-    status, out, err = cli("design", "dc-motor", "--network", "short.mcap", "--starts", "1", "--json")
+    status, out, err = cli(*design, "short.mcap")
     assert status == 0, err
     region = json.loads(out)["network"]["region"]
     assert region["state"] == "undecided"

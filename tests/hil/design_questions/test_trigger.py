@@ -224,8 +224,8 @@ def test_an_interrupt_keeps_the_points_found_and_says_which_are_open(
     monkeypatch.setattr(trigger_gains, "SHARES", (LARGE,))
     monkeypatch.setattr(trigger_gains, "candidates", found)
     monkeypatch.setattr(run_candidate, "__defaults__", (2,))
-    page = tmp_path / "trigger.html"
-    done = CliRunner().invoke(command, ["dc-motor-ours-h2", "--trigger", "--json", "-o", str(page)])
+    page, name = tmp_path / "trigger.html", own(tmp_path, '{ kind = "relative", threshold = 0.2 }')
+    done = CliRunner().invoke(command, [name, "--trigger", "--json", "-o", str(page)])
     said = json.loads(done.stdout)
     assert done.exit_code == 130 and "after 2 of 3 points" in done.stderr and said["interrupted"]
     assert [each["designed_for_share"] for each in said["points"]] == [0.0, 0.0]
