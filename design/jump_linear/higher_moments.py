@@ -32,7 +32,8 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 
-from design.jump_linear.second_moment import Array, backward, congruence_matrices, cost_once, mean_square_radius
+from design.jump_linear.second_moment import Array, backward, congruence_matrices, cost_once, like_units, mean_square_radius
+from design.jump_linear.stability_proof import side_of_one
 
 MOST_FLOPS = 1e10
 """Of the products for the number: some 0.5 s of one core."""
@@ -48,6 +49,8 @@ SETTLED = 1e-9
 """Change of the growth per slot, from one block of products to the next, at which it is shown as the radius."""
 
 ACCURATE, MOST_SIZE = 1e-8, 1e12
+MOST_PRODUCTS = 300
+"""Where the equation has no accurate solution, as of a controller's own states in any units, products decide."""
 
 
 class FourthMoments(Struct, frozen=True, kw_only=True):
@@ -83,9 +86,11 @@ def fourth_moments(A: Array, transition: Array, *, upper: Array | None = None) -
     proved = below if upper is None else _below_one(W, upper)
     if proved:
         return FourthMoments(radius=None, state="bounded")
+    if proved is None and (unit := like_units(A)) is not None:  # as of a controller's own state, whose units say nothing
+        return fourth_moments(A * unit / unit[:, None], transition, upper=upper)
     if below and upper is not None:
         return FourthMoments(radius=None, state="undecided", reason="the tail of a sojourn law decides")
-    return FourthMoments(radius=None, state="undecided", reason=f"{moments} moments grow too little to tell")
+    return FourthMoments(radius=None, state="undecided", reason=f"rounding hides whether {moments} moments grow")
 
 
 def fourth_moment_radius(A: Array, transition: Array) -> float | None:
@@ -106,14 +111,12 @@ def _of_products(A: Array) -> tuple[Array, int]:
 
 
 def _below_one(W: Array, transition: Array) -> bool | None:
-    """Whether the radius is below 1, by the solution of S - L S = I; None where none was found that is accurate enough."""
+    """Whether the radius is below 1, by the solution of S - L S = I, or by products; None where neither is accurate enough."""
     unit = np.array(np.broadcast_to(np.eye(W.shape[-1]), W.shape))
     S = cost_once(W, transition, unit)
-    if not np.isfinite(S).all():
-        return None
     size = float(np.abs(S).max())
-    if float(np.abs(S - backward(W, transition, S) - unit).max()) > ACCURATE * max(size, 1.0):
-        return None
+    if not float(np.abs(S - backward(W, transition, S) - unit).max()) <= ACCURATE * max(size, 1.0):
+        return side_of_one(W, transition, MOST_PRODUCTS * W.size, near=False).stable
     least = float(np.linalg.eigvalsh(0.5 * (S + S.transpose(0, 2, 1))).min())
     return True if least > 0.5 and size < MOST_SIZE else False if least < -ACCURATE * size else None
 

@@ -38,6 +38,27 @@ def test_the_radius_is_the_largest_eigenvalue(monkeypatch: pytest.MonkeyPatch, s
     assert exact >= mean_square_radius(A, P) ** 2 * (1 - 1e-9)  # E x^4 >= (E x^2)^2
 
 
+@pytest.mark.parametrize(("growth", "state"), [(0.9, "bounded"), (1.4, "growing")])
+def test_the_units_of_the_states_decide_nothing(growth: float, state: str) -> None:
+    """A controller's own states may have any."""
+    rng = np.random.default_rng(0)
+    A, P = rng.normal(size=(3, 5, 5)), rng.dirichlet(np.ones(3), size=3)
+    radius = fourth_moment_radius(A, P)
+    assert radius is not None
+    A *= (growth / radius) ** 0.25
+    for unit in ([1e6, 1e-6, 1.0, 1e5, 1e-4], [1e10, 1e-10, 1.0, 1.0, 1.0]):
+        assert fourth_moments(A * unit / np.array(unit)[:, None], P).state == state
+
+
+def test_where_the_equation_has_no_accurate_solution_products_decide(monkeypatch: pytest.MonkeyPatch) -> None:
+    A, P = np.array([[[1.05, 0.3], [0.0, 0.2]], [[0.5, 0.1], [0.1, 0.5]]]), np.full((2, 2), 0.5)
+    monkeypatch.setattr(higher_moments, "ACCURATE", 0.0)
+    assert fourth_moments(A, P).state == "bounded"
+    monkeypatch.setattr(higher_moments, "MOST_PRODUCTS", 0)
+    found = fourth_moments(A, P)
+    assert (found.state, found.reason) == ("undecided", "rounding hides whether 12 moments grow")
+
+
 def test_bounds_of_a_tail_and_too_many_moments_are_undecided(monkeypatch: pytest.MonkeyPatch) -> None:
     A, P = np.array([[[1.1]], [[0.5]]]), np.full((2, 2), 0.5)
     assert fourth_moments(A, P, upper=P * 1.05).state == "bounded"
