@@ -16,6 +16,7 @@ from msgspec import Struct
 from design.errors import DesignError
 from design.monte_carlo.confidence import mean_interval
 from hil.compose import compose
+from hil.compose.judged import caution
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.sweeps.seeds import run_seeds
@@ -74,7 +75,7 @@ class Reached(Struct, frozen=True, kw_only=True):
         runs: how many seeds, from 0.
         stopped: runs that safety stopped; their objective is no number of the problem.
         verdict: the verdict on the loop.
-        said: why it did not run, empty where it did.
+        said: why it did not run, or what is to be said beside its mean, see `hil.compose.judged.caution`; else empty.
     """
 
     problem: str
@@ -119,5 +120,5 @@ def reached(problem: Problem, controller: str, runs: int) -> Reached:
         problem=problem.name, controller=controller, runs=runs, stopped=stopped, mean=interval.value if known else None,
         low=interval.low if known and interval.bounded else None, high=interval.high if known and interval.bounded else None,
         verdict="undecided" if loop.verdict is None else loop.verdict.state,
-        said="" if known else f"safety stopped {stopped} of {runs} runs",
+        said=caution(loop) if known else f"safety stopped {stopped} of {runs} runs",
     )  # fmt: skip

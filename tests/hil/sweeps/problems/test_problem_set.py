@@ -52,6 +52,13 @@ def test_no_mean_is_given_where_safety_stopped_a_run() -> None:
     assert [reached(problem, problem.tried[0], runs).mean is None for runs in (1, 2)] == [True, False], "one run has no interval"
 
 
+def test_a_mean_that_converges_badly_is_said_to() -> None:
+    problem = next(problem for problem in problems() if problem.name == "motor-thesis")
+    found = reached(problem, "{kind='local',gain=[[-0.325]]}", 4)
+    assert found.verdict == "certified" and found.mean is not None
+    assert "converges badly, and its interval is too narrow" in found.said
+
+
 def test_the_best_of_the_controllers_that_were_tried_is_stored_beside_what_is_stored_of_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
