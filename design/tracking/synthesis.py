@@ -24,7 +24,7 @@ from design.errors import DesignError, FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
 from design.networked_loop.certify import LowerBounds, certify_structure, lower_bounds
 from design.processes.delay_chain import Array, Index
-from design.tracking import COARSER, DEFAULT_STARTS, TrackingProblem, embed, state_gains_of
+from design.tracking import COARSER, DEFAULT_STARTS, MOST_STATES, TrackingProblem, embed, state_gains_of
 from design.tracking.bfgs import Descent, bfgs
 from design.tracking.local_design import lqr_feedback
 from design.tracking.loop_objective import LoopObjective, check_plant, closed_classes, stabilising
@@ -174,7 +174,8 @@ def _first_stable(problem: TrackingProblem, objective: LoopObjective) -> Array:
             return stabilising(objective, start)
         except NotStable as error:
             radii.append(np.inf if error.value is None else float(error.value))
-    advice = "samples = 2, " if problem.samples == 1 and problem.chains[0].ages is None else ""
+    advice = f"order = {problem.order + 1} (states of its own), " if problem.order < MOST_STATES else ""
+    advice += "samples = 2, " if problem.samples == 1 and problem.chains[0].ages is None else ""
     found = NotStable(
         f"no gains found that make the loop mean-square stable: none in {len(radii)} starts of the search, best second-moment "
         f"radius {min(radii):.6g}, expected < 1; that is no proof that there are none: try {advice}another information pattern, "
