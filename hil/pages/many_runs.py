@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from design.monte_carlo.confidence import Interval
 from hil.measure import Quantity
-from hil.measure.signals import Array, with_unit
+from hil.measure.signals import with_unit
 from hil.pages import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html import capital
 from hil.pages.html.page import Page
@@ -17,7 +16,7 @@ from hil.sweeps import Sweep, statistics
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
-from hil.sweeps.shown import SHORTER, axis_for, ends_of, within
+from hil.sweeps.shown import SHORTER, axis_for, distributions, ends_of, within
 
 DIFFERENCE = ("difference", "95 % interval")
 
@@ -32,7 +31,8 @@ def compare_page(comparison: Comparison) -> str:
     sections = []
     for quantity in comparison.quantities:
         metric, title = quantity.name, quantity.title
-        series = _shares({name: columns[metric] for name, columns in found.items()})
+        curves = distributions({name: columns[metric] for name, columns in found.items()})
+        series = [Series(label=name, x=x, y=y, style="step", colour=names.index(name)) for name, (x, y) in curves.items()]
         if not series:
             continue
         axis = axis_for([found[name][metric] for name in names])
@@ -77,23 +77,6 @@ def sweep_page(sweep: Sweep) -> str:
     name, said, runs = sweep.experiment, sweep.caution, int(sweep.values["seed"].size)
     cautions = {name: said} if said else {}
     return compare_page(Comparison(runs=runs, values={name: sweep.values}, quantities=sweep.quantities, cautions=cautions))
-
-
-def _shares(found: Mapping[str, Array]) -> list[Series]:
-    """Return empirical distribution functions: each from 0, at the least value of all, to 1, at the largest of all."""
-    finite = {name: values[np.isfinite(values)] for name, values in found.items()}
-    every = np.concatenate([*finite.values()])
-    series = []
-    for i, values in enumerate(finite.values()):
-        if values.size:
-            x, counts = np.unique(values, return_counts=True)
-            y = np.cumsum(counts) / values.size
-            if x[0] > every.min():
-                x, y = np.append(every.min(), x), np.append(0.0, y)
-            if x[-1] < every.max():
-                x, y = np.append(x, every.max()), np.append(y, 1.0)
-            series.append(Series(label=[*finite][i], x=x, y=y, style="step", colour=i))
-    return series
 
 
 def _answer(comparison: Comparison) -> Section:

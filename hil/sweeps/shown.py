@@ -229,16 +229,36 @@ def axis_for(groups: Sequence[NDArray[np.float64]]) -> Axis:
     return Axis(asinh=max(usual, largest / DECADES))
 
 
+def distributions(found: Mapping[str, NDArray[np.float64]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return empirical distribution functions: each from 0, at the least value of all, to 1, at the largest of all.
+
+    Args:
+        found: values of each group; those that are not finite are left out, and a group of none.
+
+    Returns:
+        of each group the values, increasing, and the share of runs at or below each.
+    """
+    finite = {name: kept for name, values in found.items() if (kept := values[np.isfinite(values)]).size}
+    every = np.concatenate([np.empty(0), *finite.values()])
+    made = {}
+    for name, values in finite.items():
+        x, counts = np.unique(values, return_counts=True)
+        y = np.cumsum(counts) / values.size
+        if x[0] > every.min():
+            x, y = np.append(every.min(), x), np.append(0.0, y)
+        if x[-1] < every.max():
+            x, y = np.append(x, every.max()), np.append(y, 1.0)
+        made[name] = x, y
+    return made
+
+
 def paint_distributions(groups: Mapping[str, Values], quantity: Quantity) -> Callable[[Figure], None]:
     """Return what draws the share of runs at or below each value, a line for each group."""
 
     def paint(sheet: Figure) -> None:
         axis = sheet.subplots()
-        for name, values in groups.items():
-            sample = values[quantity.name]
-            finite = np.sort(sample[np.isfinite(sample)])
-            if finite.size:
-                axis.step(finite, np.arange(1, finite.size + 1) / finite.size, where="post", label=literal(name))
+        for name, (x, y) in distributions({name: values[quantity.name] for name, values in groups.items()}).items():
+            axis.step(np.append(x[:1], x), np.append(0.0, y), where="post", label=literal(name))
         kind = axis_for([values[quantity.name] for values in groups.values()])
         if kind.log:
             axis.set_xscale("log")

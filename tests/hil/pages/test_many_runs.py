@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.measure import Quantity
-from hil.pages.many_runs import _shares, compare_page, parameter_page
+from hil.pages.many_runs import compare_page, parameter_page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import grid, latin_hypercube
@@ -59,9 +59,3 @@ def test_an_experiment_far_off_takes_a_logarithmic_axis(outlier: float, logarith
     signed = {"a": columns(drawn - 10.5), "b": columns(drawn - outlier)}
     page = compare_page(Comparison(runs=30, values=signed, quantities=(SSE,)))
     assert ('"xAsinh":null' not in page) is logarithmic and '"xLog":true' not in page
-
-
-def test_a_share_loop_begins_at_0_and_ends_at_1_over_the_whole_axis() -> None:
-    low, high = _shares({"low": np.array([1.0, 1.0, 2.0]), "high": np.array([2.0, 4.0, np.nan]), "none": np.array([np.nan])})
-    assert ([*low.x], [*low.y]) == ([1.0, 2.0, 4.0], pytest.approx([2 / 3, 1.0, 1.0]))
-    assert ([*high.x], [*high.y]) == ([1.0, 2.0, 4.0], [0.0, 0.5, 1.0])

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure as Sheet
 from scipy.stats import binom
 
 import hil
 from hil.measure import Quantity
 from hil.pages.many_runs import compare_page
 from hil.sweeps import statistics
-from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for
+from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for, paint_distributions
 
 
 @pytest.fixture(scope="module")
@@ -127,3 +128,14 @@ def test_statistics_are_those_of_the_runs_that_have_a_number() -> None:
     assert statistics(np.full(7, 0.1))["sd"] == 0.0 < np.full(7, 0.1).std()
     none = statistics(np.array([np.nan]))
     assert none == {"n": 0, "mean": None, "sd": None, "se": None, "percentiles": {}}
+
+
+def test_every_curve_of_a_figure_for_a_paper_goes_from_0_to_1_over_the_values_of_all() -> None:
+    sheet, cost = Sheet(), Quantity(name="cost", title="cost", unit="")
+    found = {"a": [2.0, 1.0, np.nan], "none": [np.nan], "b": [3.0, 3.0]}
+    paint_distributions({name: {"cost": np.array(values)} for name, values in found.items()}, cost)(sheet)
+    curves = {line.get_label(): np.asarray(line.get_xydata()).tolist() for line in sheet.axes[0].get_lines()}
+    assert curves == {
+        "a": [[1.0, 0.0], [1.0, 0.5], [2.0, 1.0], [3.0, 1.0]],
+        "b": [[1.0, 0.0], [1.0, 0.0], [3.0, 1.0]],
+    }
