@@ -62,25 +62,29 @@ class Pushed(Struct, frozen=True, kw_only=True):
 
 
 def clamped_share(loop: CertificationProblem) -> Array:
-    """Return what the clamped sums of errors add to each input at most, (m,), in any row that the actuator may apply."""
-    share, p = np.zeros(loop.motion.B.shape[1]), len(loop.motion.C)
-    limit = np.array(controller_traits(loop.controller).integral_limit)
-    if limit.size and isinstance(loop.controller, GainTable):
+    """Return what the clamped sums of errors add to each input at most, (m,), in any row that the actuator may apply.
+
+    Zeros beside a state of the controller's own, which they move, too: there the sums are taken for outputs.
+    """
+    share, p, its = np.zeros(loop.motion.B.shape[1]), len(loop.motion.C), controller_traits(loop.controller)
+    limit = np.array(its.integral_limit)
+    if limit.size and isinstance(loop.controller, GainTable) and not its.order:
         share = (np.abs(table_of(loop, loop.controller)[..., -p:]) @ limit).max(axis=(0, 1))
     return share
 
 
-def pushed_by(loop: CertificationProblem, share: Array) -> Pushed | None:
+def pushed_by(loop: CertificationProblem, share: Array, *, clamped: bool = False) -> Pushed | None:
     """Return what pushes a loop from within; None where nothing does, or where something beyond the model has no bound.
 
     Args:
         loop: the loop.
         share: what clamped sums of errors add to each input at most, (m,), see `clamped_share`; zeros: of the plant alone.
+        clamped: whether they count.
     """
     plant, model = loop.plant, loop.motion
     beyond = set(plant.beyond_model()) if isinstance(plant, BeyondModel) else set()
     known = tuple(plant.departures()) if isinstance(plant, HasDepartures) else ()
-    if beyond - {each.name for each in known} or len(plant.states) != len(model.A) or not (known or loop.slack or share.any()):
+    if beyond - {each.name for each in known} or len(plant.states) != len(model.A) or not (known or loop.slack or clamped):
         return None
     inputs, outputs = share.copy(), np.zeros(len(model.C))
     within = np.full(len(inputs), np.inf)
@@ -88,7 +92,7 @@ def pushed_by(loop: CertificationProblem, share: Array) -> Pushed | None:
         (inputs if each.at == "input" else outputs)[:] += each.bounds
         within = np.minimum(within, each.within or np.inf)
     clips = all(each.clips for each in known if each.within)
-    names = (*(each.name for each in known), *(["a dead-band trigger"] * bool(loop.slack)), *([CLAMPED] * bool(share.any())))
+    names = (*(each.name for each in known), *(["a dead-band trigger"] * bool(loop.slack)), *([CLAMPED] * clamped))
     return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop), within=within, clips=clips)
 
 
@@ -133,14 +137,15 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         verdict: on the linear loop; where a sum of errors is clamped, on the loop without it.
         modes: makes the closed loop of a plant, without a clamped sum too.
     """
-    share, clamped = clamped_share(loop), controller_traits(loop.controller).integral_limit
+    share, its = clamped_share(loop), controller_traits(loop.controller)
+    clamped = bool(its.integral_limit)
     if loop.shares and clamped:
         return _undecided(verdict, f"{CLAMPED} beside a relative trigger")
     if loop.shares:
         beside = "a dead-band trigger beside a relative one"
         found = _undecided(verdict, beside) if loop.slack else _by_share(loop, verdict, modes)
         return limited_to_model(loop.plant, found, knows_state_delays=True)
-    pushed = pushed_by(loop, share)
+    pushed = pushed_by(loop, share, clamped=clamped)
     limited = pushed is not None and bool(np.isfinite(pushed.within).any())
     if pushed is not None and not limited and verdict.state == "refused" and not _by_bounds(loop):
         return _grows_from_afar(verdict, pushed)
@@ -155,14 +160,18 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     from design.jump_linear.leaving import ultimate_bound
 
     A, B, C = loop.stacked.A, loop.stacked.B, loop.stacked.C
-    (n, m), p = B.shape, len(C)
-    # the plant with what is added to its outputs as p states that last no slot
+    n, m = B.shape
+    sums = np.array(its.integral_limit if its.order else ())
+    added = np.append(pushed.outputs, sums)
+    p, measured = len(added), np.vstack([C, np.zeros((len(sums), n))])
+    # the plant with what is added to its outputs as p states that last no slot, and clamped sums as outputs that it does not make
     closed, chances, applied, standing = modes(
-        np.block([[A, np.zeros((n, p))], [np.zeros((p, n + p))]]), np.vstack([B, np.zeros((p, m))]), np.hstack([C, np.eye(p)])
-    )
+        np.block([[A, np.zeros((n, p))], [np.zeros((p, n + p))]]), np.vstack([B, np.zeros((p, m))]),
+        np.hstack([measured, np.eye(p)]),
+    )  # fmt: skip
     kept, q = np.r_[0:n, n + p : closed.shape[-1]], pushed.states.shape[1]
     own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), q + p))
-    E[:, : len(pushed.states), :q], E[:, :, q:] = pushed.states, closed[:, kept][:, :, n : n + p] * pushed.outputs
+    E[:, : len(pushed.states), :q], E[:, :, q:] = pushed.states, closed[:, kept][:, :, n : n + p] * added
     ends = {}
     try:
         for row, signal in zip(C, loop.plant.outputs):
@@ -172,7 +181,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     except (NotStable, np.linalg.LinAlgError) as error:
         return _undecided(verdict, f"{', '.join(pushed.names)}: {error}")
     said = ", ".join(f"{name} within {bound:.4g} {unit}" for name, (bound, unit) in ends.items())
-    ending = f"ends, in the root mean square, with {said}" if pushed.pushes else "goes to rest"
+    ending = f"ends, in the root mean square, with {said}" if pushed.pushes or sums.any() else "goes to rest"
     found = replace(
         verdict, kind="practical stability",
         reason=f"with {', '.join(pushed.names)} it {ending}; without, {verdict.reason}",
@@ -185,7 +194,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     from hil.certify.region import ClosedLoop, judge_region
     from hil.certify.saturation import ends_from_anywhere, escapes
 
-    adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0) + share
+    adds = (np.abs(applied[:, :, n : n + p]) @ added).max(axis=0) + share
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)
     by_plant = pushed_by(loop, np.zeros(m)) if pushed.clips else None  # what a clamped integral adds is within the limit too

@@ -73,7 +73,7 @@ def ends_from_anywhere(
     its = controller_traits(controller)
     if not isinstance(controller, GainTable) or its.samples > 1 or (m, p) != (1, 1):
         return verdict
-    if its.integrates and not its.integral_limit:
+    if its.integrates and (its.order or not its.integral_limit):
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict

@@ -96,30 +96,42 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
     its = controller_traits(controller)
-    clamped = bool(its.integral_limit)  # its sum counts as a departure at the input
-    if clamped and its.order:
-        return undecided(loop, "mean-square stability", f"{CLAMPED} beside a state of the controller's own")
+    clamped = bool(its.integral_limit)  # its sum counts as a departure at the input, or as an output beside an own state
+    if clamped and its.order and loop.sc.ages is not None:
+        return undecided(loop, "mean-square stability", f"{CLAMPED} beside a state of the controller's own, over several nodes")
     try:
-        table = table_of(loop, controller)
-        table = table[..., : -len(loop.motion.C)] if clamped else table
-        gains, state = gains_within(table, controller.selection, loop.sc, loop.ca), state_gains_within(controller, loop.sc)
+        every = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
+        own = state_gains_within(controller, loop.sc)
     except FieldError as error:
         return undecided(loop, "mean-square stability", str(error))
-    sc, ca, selection = loop.sc, loop.ca, controller.selection
+    sc, ca, selection, p = loop.sc, loop.ca, controller.selection, len(loop.motion.C)
     samples, integral = its.samples, float(its.integrates and not clamped)
+    sums = np.arange(p * samples, p * (samples + clamped))
+    gains, state = (np.delete(K, sums, axis=-1) if K.size else K for K in (every, own))
 
     from design.networked_loop.certify import certify_loop
     from design.networked_loop.closed_loop import loop_structure
 
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
-        closed = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral, state_gains=state)
-        return _closed(closed, gains, C)
+        known, moves = (gains, state) if len(C) == p else (_sums_as_outputs(K, p, samples) for K in (every, own))
+        closed = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral, state_gains=moves)
+        return _closed(closed, known, C)
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
     A, B, C = loop.stacked.A, loop.stacked.B, loop.stacked.C
     found = certify_loop(A, B, C, sc, ca, gains, selection, samples=samples, integral=integral, state_gains=state)
     return ends_within(loop, second_moment_verdict(found, loop.digest), modes)
+
+
+def _sums_as_outputs(gains: Array, p: int, samples: int) -> Array:
+    """Gains on samples, sums of errors and an own state, (..., p samples + p + c), as on samples of 2 p outputs and it."""
+    *shape, width = gains.shape
+    newest, last = np.arange(p), 2 * p * samples
+    found = np.zeros((*shape, last + width - p * (samples + 1)))
+    measured = (2 * p * np.arange(samples)[:, None] + newest).ravel()
+    found[..., np.concatenate([measured, p + newest, np.arange(last, found.shape[-1])])] = gains
+    return found
 
 
 def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from design.controllers import SendAll
 from design.errors import NotStable
 from design.jump_linear.leaving import ultimate_bound
 from design.networked_loop import polytope
@@ -20,6 +22,7 @@ from tests.hil.certify.many_runs import many_runs
 
 pytestmark = pytest.mark.usefixtures("moments_of_low_degree")
 
+Array = NDArray[np.float64]
 NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}
 AGES = {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]], [[[-0.04, -0.006]]]]}
 INTEGRAL = {"kind": "send-all", "selection": "constant", "integral": True, "gains": [[[[-0.1, -0.002]]]] * 3}
@@ -220,6 +223,50 @@ def test_the_bound_of_a_scalar_loop_is_that_of_its_worst_signal() -> None:
     assert 1.0 / (1.0 - share) <= both[0] <= 1.002 / (1.0 - share)
     with pytest.raises((NotStable, np.linalg.LinAlgError)):
         ultimate_bound(np.array([[[1.0 + 1e-12]]]), np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1)))
+
+
+def sum_beside_a_state(limit: float, weight: float, samples: int = 1) -> Loop:
+    """A table on the samples, the clamped sum, and two states of its own, which the sum moves: `weight` times alone by K."""
+    K = np.full((3, 2, 1, samples + 3), -0.01)
+    K[..., 0], K[..., samples] = -0.1, -0.02 * weight
+    own = np.array([[[0.2, *[0.1] * (samples - 1), 0.05, 0.5, 0.1], [0.1, *[0.0] * (samples - 1), 0.2 - 0.1 * tau, 0.0, 0.3]]
+                    for tau in range(3)])  # fmt: skip
+    table = {"kind": "send-all", "gains": K.tolist(), "state_gains": own.tolist(), "samples": samples, "integral": True}
+    return composed("dc-motor-h2", controller={**table, "integral_limit": [limit]})
+
+
+def outputs_under(loop: Loop, sums: Array, runs: int) -> Array:
+    """The angle over slots and runs of a loop whose sums are a given signal, packet by packet."""
+    controller, rng = loop.controller, np.random.default_rng(5)
+    assert isinstance(controller, SendAll) and loop.chains.sc is not None and loop.chains.ca is not None
+    K, own = np.array(controller.gains)[:, :, 0], np.array(controller.state_gains)
+    A, B, (C,), chances = loop.model.A, loop.model.B, loop.model.C, [loop.chains.sc.matrix, loop.chains.ca.matrix]
+    x, xi, ages, every = np.zeros((runs, 2)), np.zeros((runs, 2)), [np.zeros(runs, dtype=int)] * 2, np.arange(runs)
+    y, packets = [x @ C] * (3 + controller.samples), [np.zeros((runs, 2))] * 2
+    seen = np.zeros((len(sums), runs))
+    for k, s in enumerate(sums):
+        ages = [(rng.random(runs)[:, None] > P.cumsum(axis=1)[age]).sum(axis=1) for P, age in zip(chances, ages)]
+        y, seen[k] = [x @ C, *y[:-1]], x @ C
+        known = np.column_stack([*(np.array(y)[ages[0] + i, every] for i in range(controller.samples)), np.full(runs, s), xi])
+        packets = [np.einsum("irk,ik->ir", K[ages[0]], known), packets[0]]
+        xi = np.einsum("ick,ik->ic", own[ages[0]], known)
+        x = x @ A.T + np.array(packets)[ages[1], every, ages[1]][:, None] * B[:, 0]
+    return seen
+
+
+@pytest.mark.parametrize(("weight", "samples"), [(1.0, 1), (0.0, 1), (-1.0, 2)])
+def test_a_clamped_sum_ends_within_that_moves_a_state_of_the_controllers_own(weight: float, samples: int) -> None:
+    """Whatever the sum does within its limit: it stays at the limit, or goes from end to end."""
+    own, other = (sum_beside_a_state(limit, weight, samples) for limit in (2.0, 4.0))
+    loop, wider = own.verdict, other.verdict
+    assert loop is not None and wider is not None and loop.certified and loop.kind == "practical stability"
+    bound, twice = (verdict.details["ends_within"]["angle"] for verdict in (loop, wider))  # type: ignore[index]
+    levels = []
+    for slots in (400, 40, 25, 16, 8):
+        sums = 2.0 * np.where(np.arange(400) // slots % 2, -1.0, 1.0)
+        seen = outputs_under(own, sums, 600)
+        levels.append(float(np.sqrt(np.mean(seen[200:] ** 2, axis=1)).max()))
+    assert 0.3 * bound < max(levels) < bound and twice == pytest.approx(2.0 * bound)
 
 
 def relative(share: float, **changes: Any) -> Loop:

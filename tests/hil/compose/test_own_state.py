@@ -46,14 +46,14 @@ def test_what_runs_is_certified_and_a_state_that_goes_on_otherwise_is_not(shippe
     assert turned is not None and turned.state == "refused"
 
 
-def test_an_integral_beside_a_state_is_certified_and_with_a_clamp_undecided() -> None:
+def test_an_integral_beside_a_state_is_certified_and_with_a_clamp_ends_within() -> None:
     table = "controller={kind='designed', order=1, integral=0.01, reference_weight=3}"
     whole = compose(load_experiment(NAME, [table, "duration=1"]))
     clamp = "controller.integral_limit=[5.0]"
-    clamped = compose(load_experiment(NAME, [table, "duration=1", clamp, "allow_uncertified=true"]))
+    clamped = compose(load_experiment(NAME, [table, "duration=1", clamp]))
     assert isinstance(whole.controller, SendAll) and np.shape(whole.controller.state_gains) == (3, 1, 3)
     assert whole.verdict is not None and clamped.verdict is not None and whole.verdict.certified
-    assert clamped.verdict.state == "undecided" and "a clamped integral beside a state" in clamped.verdict.reason
+    assert clamped.verdict.certified and "with a clamped integral it ends" in clamped.verdict.reason
 
 
 def test_ages_are_distinguished_that_the_state_alone_knows(shipped: Loop) -> None:
