@@ -59,7 +59,8 @@ class VirtualWall:
         """
         m, p = model.B.shape[1], model.C.shape[0]
         if (m, p) != (1, 3):
-            raise FieldError("wall", f"needs one force and a measured position, y and z; inputs of the plant: {m}, outputs: {p}")
+            wanted = "one force and a measured position, y and z (0 where it has none)"
+            raise FieldError("wall", f"needs {wanted}; inputs of the plant: {m}, outputs: {p}")
         direct = self.coupler.taps_m_per_n[0] + self.coupler.integrator_m_per_n
         for i, each in enumerate(self.wall.materials):
             steep = each.stiffness_n_per_m + each.damping_n_s_per_m / model.period_s
