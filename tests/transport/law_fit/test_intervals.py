@@ -84,6 +84,7 @@ def shares_covered(channel: GilbertElliott, records: int, packets: int) -> dict[
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3000)
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_intervals_of_a_channel_cover_in_93_to_97_percent(channel: GilbertElliott) -> None:
     """All four parameters, also a loss of 0 or of 1, over 1000 records of 2 * 10^4 packets.
