@@ -33,7 +33,7 @@ class TooLarge(ValueError):
 
 
 STIFF = 16.0
-"""Largest 2 |generator| T for which the instant of the first jump is integrated."""
+"""Largest 2 |A| T for which the instant of the first jump is integrated."""
 
 
 @cache
@@ -140,7 +140,7 @@ def period_moments(
     modes, n, m = system.modes, system.states, system.inputs
     size = n + m * (delay + 1)
     generators = held_flow(system.a, system.b, size)
-    nodes, weights = _first_jump(2.0 * float(np.linalg.norm(generators, 2, axis=(1, 2)).max()) * period_s, period_s)
+    nodes, weights = _first_jump(2.0 * float(np.linalg.norm(system.a, 2, axis=(1, 2)).max()) * period_s, period_s)
     q, one = svec_size(size), np.eye(size)
     blocks = moment_operators(generators)
     if system.uncertainty is not None:
@@ -191,9 +191,10 @@ def _with_jumps(blocks: FloatArray, boxes: Sequence[Box], upper: bool) -> FloatA
 
 
 def _first_jump(stiffness: float, period_s: float) -> tuple[FloatArray, FloatArray]:
-    # Gauss-Legendre with k points errs by about (stiffness / 4 k)^(2 k): far below rounding for what is allowed here.
+    # Gauss-Legendre with k points errs by about (stiffness / 4 k)^(2 k): far below rounding for what is allowed here. Inputs that
+    # are held add powers of t up to 2, times |B|^2 at most: of the moment that they make, the share is the same in all units.
     if stiffness > STIFF:
-        raise TooLarge(f"the matrices are too large for the period: 2 |A, B| T = {stiffness:.3g}, at most {STIFF:g} is decided")
+        raise TooLarge(f"the matrices are too large for the period: 2 |A| T = {stiffness:.3g}, at most {STIFF:g} is decided")
     points, weights = np.polynomial.legendre.leggauss(6 + math.ceil(stiffness))
     return 0.5 * period_s * (points + 1.0), 0.5 * period_s * weights
 

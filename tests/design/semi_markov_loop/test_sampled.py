@@ -24,6 +24,7 @@ from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_ra
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.requests.scheduled import scheduled_of
 from design.semi_markov_loop import JumpSystem, NormBounded, VertexUncertainty
+from design.semi_markov_loop import period_moments as moments_module
 from design.semi_markov_loop.period_moments import STIFF, Box, TooLarge, isometry, period_moments, smat
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.second_moments import second_moment_radius
@@ -206,8 +207,33 @@ def test_a_period_that_is_long_for_its_matrices_is_not_integrated():
     boxes = [Box(low=np.zeros(1), high=np.zeros(1))]
     for T, most in ((1.9, True), (2.1, False)):
         system = JumpSystem(a=np.array([[[-STIFF / 4.0]]]), b=np.zeros((1, 1, 1)))
-        with nullcontext() if most else pytest.raises(TooLarge, match=r"2 \|A, B\| T = 16\.8, at most 16"):
+        with nullcontext() if most else pytest.raises(TooLarge, match=r"2 \|A\| T = 16\.8, at most 16"):
             period_moments(system, boxes, T, 0, upper=True)
+
+
+def test_an_input_in_any_unit_leaves_the_period_as_long_as_it_is():
+    boxes = [Box(low=np.zeros(1), high=np.zeros(1))]
+    systems = [JumpSystem(a=np.array([[[-1.0]]]), b=np.array([[[b]]])) for b in (2.0, 2.0**12)]
+    fine, coarse = (period_moments(system, boxes, 1.0, 0, upper=True).still for system in systems)
+    np.testing.assert_allclose(fine * np.array([1.0, 2.0**11, 2.0**22]), coarse, rtol=1e-12)
+
+
+@pytest.mark.parametrize("length", [0.5, 3.9, 7.9])
+def test_the_nodes_that_a_plant_needs_are_enough_for_its_inputs_too(length, monkeypatch):
+    """Up to 2 |A| T = 16 more nodes change rounding only; how large B is in other units changes every node's share alike."""
+    rng = np.random.default_rng(round(10 * length))
+    a, b = rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3, 1))
+    T = length / np.linalg.norm(a, 2, axis=(1, 2)).max()
+    boxes = [Box(low=rates / T, high=rates / T) for rates in (np.array([0.0, 2.0]), np.array([1.0, 0.0]))]
+
+    def integral():
+        found = period_moments(JumpSystem(a=a, b=b), boxes, T, 0, upper=True)
+        return np.einsum("ijlgpq,g->ijlpq", found.jumped, found.weights_s)
+
+    few = integral()
+    points, weights = np.polynomial.legendre.leggauss(60)
+    monkeypatch.setattr(moments_module, "_first_jump", lambda stiffness, T: (0.5 * T * (points + 1.0), 0.5 * T * weights))
+    np.testing.assert_allclose(few, integral(), rtol=1e-10, atol=1e-12 * np.abs(few).max())
 
 
 # -- Chapter 4 ------------------------------------------------------------------------------------------------------------------
