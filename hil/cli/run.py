@@ -64,7 +64,8 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
                 return path
             except FileExistsError:
                 if output is not None:
-                    raise HilError(f"{path}: exists already; choose another -o or add --force") from None
+                    remedy = "choose another -o or add --force" if path.is_file() else "expected a new file: it is no regular one"
+                    raise HilError(f"{path}: exists already; {remedy}") from None
                 number += 1
                 path = path.with_name(f"{stem}-{number}.mcap")
     except OSError as e:

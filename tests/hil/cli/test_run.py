@@ -50,7 +50,9 @@ def test_a_second_run_takes_another_name_and_no_log_is_overwritten(cli: Hil, tmp
     assert {path.name for path in tmp_path.glob("runs/*")} == {f"dc-motor-hinf-virtual-seed0{n}.mcap" for n in ("", "-2")}
     before = second.read_bytes()
     status, _, err = cli("run", "dc-motor-hinf", "--duration", "2", "-o", second)
-    assert status == 2 and "exists already" in err and second.read_bytes() == before
+    assert status == 2 and "exists already; choose another -o or add --force" in err and second.read_bytes() == before
+    status, _, err = cli("run", "dc-motor-hinf", "--duration", "1s", "-o", ".")
+    assert status == 2 and ".: exists already; expected a new file: it is no regular one" in err
     assert cli("run", "dc-motor-hinf", "--duration", "2", "-o", second, "--force")[0] == 0
 
 
