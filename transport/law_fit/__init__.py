@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from scipy import stats
 
 from transport.errors import FieldError
 from transport.law_fit.age_models import AgeFit, fit_ages
@@ -178,6 +177,8 @@ def _slots_independent(record: PacketRecord, period_s: float, deadline_s: float)
     found = np.unique(delays)
     if len(found) == 1:
         return 1.0
+    from scipy import stats  # half a second of CPU
+
     smallest = 1.0
     for delay in found.tolist():
         here = delays == delay

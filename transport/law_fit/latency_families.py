@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from transport.law_fit.packet_record import Array
 
@@ -77,6 +77,8 @@ def _constant(value: float) -> LatencyFit:
 
 
 def _frozen(name: str, shapes: dict[str, float], loc: float, scale: float, free: int, values: Array) -> LatencyFit:
+    from scipy import stats  # half a second of CPU
+
     law = getattr(stats, name)(*shapes.values(), loc=loc, scale=scale)
     spec = {"dist": name, **shapes} | ({"loc": loc} if loc else {}) | {"scale": scale}
     return LatencyFit(
@@ -109,6 +111,8 @@ def _families(values: Array) -> Iterator[LatencyFit]:
 
 def _threshold(values: Array, name: str, shape_of: Callable[[Array], tuple[dict[str, float], float]]) -> float | None:
     """Return the threshold of the largest likelihood, over a grid in the logarithm of its distance to the smallest value."""
+    from scipy import stats
+
     ordered = np.sort(values)
     low, spread = float(ordered[0]), float(ordered[-1] - ordered[0])
     few = ordered[:: max(1, len(ordered) // 20_000)]

@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
-from scipy import stats
 
 from transport.law_fit.latency_families import bic
 from transport.law_fit.packet_record import Array
@@ -88,6 +87,8 @@ def fit_loss(lost: Lost, *, whole: bool) -> list[LossFit]:
 
 def _in_bursts(lost: Lost) -> bool:
     """Whether a loss makes one of the next two packets more likely to be lost (Fisher's exact test, one-sided)."""
+    from scipy import stats  # half a second of CPU
+
     for lag in (1, 2):
         now, then = lost[:-lag], lost[lag:]
         pairs = np.array([[(a & b).sum() for b in (then, ~then)] for a in (now, ~now)])

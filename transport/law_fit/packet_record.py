@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from transport.errors import FieldError
 from transport.laws.packet import delays
@@ -171,6 +171,8 @@ def drift_of(sent_s: Array, difference_s: Array) -> Drift:
             least.append(difference_s[lowest])
     if len(at) < PIECES // 2:
         return Drift(0.0, np.inf, False)
+    from scipy import stats  # half a second of CPU
+
     line = stats.theilslopes(least, at, alpha=0.95)
     seen = float(stats.kendalltau(at, least).pvalue) < SEEN
     return Drift(float(line.slope), 0.5 * float(line.high_slope - line.low_slope), seen)
@@ -187,7 +189,7 @@ def drift_and_rise(there: Drift, back: Drift) -> tuple[Drift, Drift]:
         back: of those at ours.
     """
     half = 0.5 * math.hypot(there.half_width, back.half_width)
-    surely = half * float(stats.norm.isf(0.5 * SEEN) / stats.norm.isf(0.025))
+    surely = half * float(special.ndtri(0.5 * SEEN) / special.ndtri(0.025))
     slopes = 0.5 * (there.slope - back.slope), 0.5 * (there.slope + back.slope)
     drift, rise = (Drift(slope, half, abs(slope) > surely) for slope in slopes)
     return drift, rise

@@ -19,7 +19,7 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from transport.law_fit.packet_record import Array
 from transport.law_fit.proportions import LEVEL, Interval
@@ -33,7 +33,7 @@ APART = 0.02
 """Angle from an end at which a search begins: at the end itself the slope is 0."""
 CLOSE = 0.005
 """Error of a bound, in standard errors."""
-FAR = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
+FAR = float(special.ndtri(0.5 + LEVEL / 2.0))
 
 
 def values_of(angles: Array) -> Array:
@@ -56,10 +56,10 @@ def critical(delta: float) -> float:
     if delta >= FAR:
         return FAR
     if delta <= 1e-6:
-        return float(stats.norm.ppf(LEVEL))
+        return float(special.ndtri(LEVEL))
 
     def surplus(root: float) -> float:
-        return float(stats.norm.cdf(root) - stats.norm.cdf(-(root * root + delta * delta) / (2.0 * delta))) - LEVEL
+        return float(special.ndtr(root) - special.ndtr(-(root * root + delta * delta) / (2.0 * delta))) - LEVEL
 
     return float(optimize.brentq(surplus, 1.0, 3.0, xtol=1e-6))
 

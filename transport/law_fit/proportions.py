@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from scipy import special, stats
+from scipy import special
 
 from transport.errors import NotKnown
 from transport.law_fit.packet_record import Array, delays_in_slots
@@ -131,12 +131,12 @@ def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) 
     chi_square = float(((counts - len(u) / CELLS) ** 2).sum() / (len(u) / CELLS))
     freedom = CELLS - 1 - min(parameters, CELLS // 2)
     plain, sizes, root_n = correlations(score), correlations(_normal(np.abs(2.0 * u - 1.0))), len(u) ** 0.5
-    neighbours = min(_thirds(u), *(2.0 * float(stats.norm.sf(abs(r[0]) * root_n)) for r in (plain, sizes)))
+    neighbours = min(_thirds(u), *(2.0 * float(special.ndtr(-abs(r[0]) * root_n)) for r in (plain, sizes)))
     lags = min(_ljung_box(r[: lags_tested(len(u))], len(u)) for r in (plain, sizes))
     largest = int(np.abs(plain).argmax())
     return Fitness(
         neighbours=min(1.0, 3.0 * neighbours), lags=min(1.0, 2.0 * lags), independence=min(1.0, TESTS * min(neighbours, lags)),
-        largest=float(plain[largest]), largest_lag=largest + 1, shape=float(stats.chi2.sf(chi_square, freedom)),
+        largest=float(plain[largest]), largest_lag=largest + 1, shape=float(special.chdtrc(freedom, chi_square)),
     )  # fmt: skip
 
 
@@ -161,9 +161,9 @@ def seen_correlations(n: int) -> Seen:
     [0.158, 0.222, 0.05, 0.07]
     """
     level, lags = REJECT / TESTS, lags_tested(n)
-    limit = stats.chi2.isf(level, lags)
+    limit = special.chdtri(lags, level)
     more = special.chndtrinc(limit, lags, 1.0 - POWER)
-    return Seen(float((stats.norm.isf(level / 2.0) + stats.norm.ppf(POWER)) / n**0.5), float((more / n) ** 0.5))
+    return Seen(float((special.ndtri(POWER) - special.ndtri(level / 2.0)) / n**0.5), float((more / n) ** 0.5))
 
 
 def behind_late(fit: LawFit) -> Interval:
@@ -179,7 +179,7 @@ def behind_late(fit: LawFit) -> Interval:
 def _normal(u: Array) -> Array:
     """Normal quantiles of uniform numbers; 0 and 1, where a table ends at the extremes of the record, count as half a packet."""
     half = 0.5 / len(u)
-    return np.asarray(stats.norm.ppf(np.clip(u, half, 1.0 - half)), dtype=np.float64)
+    return np.asarray(special.ndtri(np.clip(u, half, 1.0 - half)), dtype=np.float64)
 
 
 def correlations(values: Array) -> Array:
@@ -190,7 +190,7 @@ def correlations(values: Array) -> Array:
 
 
 def _ljung_box(r: Array, n: int) -> float:
-    return float(stats.chi2.sf(n * (n + 2) * (r**2 / (n - np.arange(1, len(r) + 1))).sum(), len(r)))
+    return float(special.chdtrc(len(r), n * (n + 2) * (r**2 / (n - np.arange(1, len(r) + 1))).sum()))
 
 
 def _thirds(u: Array) -> float:
@@ -201,7 +201,7 @@ def _thirds(u: Array) -> float:
     expected = table.sum(axis=1, keepdims=True) * table.sum(axis=0, keepdims=True) / table.sum()
     if (expected <= 0.0).any():
         return 1.0
-    return float(stats.chi2.sf(((table - expected) ** 2 / expected).sum(), 4))
+    return float(special.chdtrc(4, ((table - expected) ** 2 / expected).sum()))
 
 
 MISS = 0.05
