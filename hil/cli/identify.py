@@ -51,16 +51,18 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @click.option("--halve", is_flag=True, help="Take half of a round trip for each direction.")
 @click.option("--one-clock", is_flag=True, help="Both time stamps are of one clock: no offset, no drift.")
 @click.option("--can-id", type=Identifier(), help="CAN logs: only frames of this identifier.")
+@click.option("--answer-id", type=Identifier(), help="One CAN log: its frames of this identifier answer those of --can-id.")
 @click.option("-o", "--output", type=OUTPUT, metavar="FILE.toml", help="Write the law here, for experiments.")
 @click.option("--page", type=OUTPUT, metavar="PAGE.html", help="Write a page: measured and fitted side by side.")
 @click.option("--force", is_flag=True, help="Replace files that are there; a page always is.")
 @json_option()
 def law(
     files: tuple[Path, ...], period: float | None, deadline: float, halve: bool, one_clock: bool, can_id: int | None,
-    output: Path | None, page: Path | None, force: bool,
+    answer_id: int | None, output: Path | None, page: Path | None, force: bool,
 ) -> None:  # fmt: skip
     """Fit a network law to recorded packets: a log of hil probe or of a run (.mcap), a table (.csv), a capture of ping
-    or of frames over zenoh (.pcap), or two CAN logs of one bus (.log, .asc, .blf), the sender's first.
+    or of frames over zenoh (.pcap), two CAN logs of one bus (.log, .asc, .blf), the sender's first, or one with
+    --can-id and --answer-id.
 
     Two tables are the two directions; -o law.toml then writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
@@ -74,7 +76,7 @@ def law(
     from transport.law_fit import fit_law
 
     with Working(f"packets of {files[0]}"):
-        recording = read_recording(files, can_id=can_id, one_clock=one_clock)
+        recording = read_recording(files, can_id=can_id, answer_id=answer_id, one_clock=one_clock)
         records, notes = packet_records(recording, halve=halve)
     targets = {} if output is None else files_of(output, records)
     for path in targets.values():

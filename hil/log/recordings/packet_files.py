@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Hashable, Iterable, Iterator
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 from hil.errors import HilError
 from hil.files import open_regular
 from hil.files.arrays import read_columns
-from hil.files.can_logs import LATEST_S
+from hil.files.can_logs import LATEST_S, can_frames
 from hil.log.recordings import ROUND_TRIP, THERE, Array, Recording, Way
 from transport.packets import ControlPacket, SensorPacket, decode, packet_size
 
@@ -190,6 +190,27 @@ IP_AT: Final = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20, 0
 
 ECHO: Final = {(4, 1, 8): True, (4, 1, 0): False, (16, 58, 128): True, (16, 58, 129): False}
 """Length of an address, protocol and type of ping's packets: whether it is a request."""
+
+
+def read_can_requests(path: Path, can_id: int, answer_id: int) -> Recording:
+    """Read round trips from one CAN log: frames of one identifier, and those of another that answer them.
+
+    Raises:
+        HilError: it is no CAN log, one of the two is missing, or there are too many frames.
+    """
+    asks = [(frame.timestamp, frame.arbitration_id == can_id) for frame in islice(
+        (frame for frame in can_frames(path) if not frame.is_error_frame and frame.arbitration_id in (can_id, answer_id)),
+        MOST_FRAMES + 1)]  # fmt: skip
+    if len(asks) > MOST_FRAMES:
+        raise HilError(f"{path}: more than {MOST_FRAMES} frames of these identifiers")
+    found = _paired(((t_s, None, asked) for t_s, asked in asks), newest=True)
+    for identifier, some in ((can_id, len(found.sent_s)), (answer_id, np.isfinite(found.came_s).any())):
+        if not some:
+            what = "no frame of identifier" if identifier == can_id else "no frame behind one of --can-id has the identifier"
+            raise HilError(f"{path}: {what} {identifier:#x}; what a log writes as 123 is 0x123")
+    odd = (found.again, "answers came behind the first"), (found.strays, "answers to no request")
+    rule = "an answer is that to the newest request: one that comes behind the next request counts as an answer to that"
+    return found.recording(path, rule, *(f"{n} {what}" for n, what in odd if n))
 
 
 def read_ping_capture(path: Path) -> Recording:

@@ -13,7 +13,13 @@ from hil.errors import HilError
 from hil.files.can_logs import CAN_LOG_ENDINGS, can_frames
 from hil.log.read import read_run
 from hil.log.recordings import BACK, THERE, Recording, Way
-from hil.log.recordings.packet_files import MOST_FRAMES, read_captured_frames, read_latencies, read_ping_capture
+from hil.log.recordings.packet_files import (
+    MOST_FRAMES,
+    read_can_requests,
+    read_captured_frames,
+    read_latencies,
+    read_ping_capture,
+)
 from hil.log.run import Run, StructuredArray
 from hil.log.topics import CA, PROBE, SC
 from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
@@ -27,13 +33,16 @@ def shipped_recordings() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.mcap"))}
 
 
-def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_clock: bool = False) -> Recording:
+def read_recording(
+    paths: Sequence[Path], *, can_id: int | None = None, answer_id: int | None = None, one_clock: bool = False
+) -> Recording:  # fmt: skip
     """Read one file, or two that belong together: tables of both directions, or two logs of one bus.
 
     Args:
         paths: the files, or the name of a shipped recording; of two tables the first is from the sensor to the controller, of two
             CAN logs the first is the sender's.
         can_id: of CAN logs only frames of this identifier.
+        answer_id: of one CAN log the frames that answer those.
         one_clock: both time stamps are of one clock.
 
     Raises:
@@ -47,10 +56,15 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
             raise HilError(f"{path}: the ending {path.suffix!r} names no record of packets, expected one of {', '.join(ENDINGS)}")
     if can_id is not None and not endings <= set(CAN_LOG_ENDINGS):
         raise HilError(f"{said}: --can-id: belongs to CAN logs ({', '.join(CAN_LOG_ENDINGS)})")
+    if answer_id is not None:
+        if can_id is None or can_id == answer_id or len(paths) != 1:
+            raise HilError(f"{said}: --answer-id: is for one CAN log, with --can-id for the frames that are answered")
+        return read_can_requests(paths[0], can_id, answer_id)
     if endings <= set(CAN_LOG_ENDINGS):
         if len(paths) != 2:
             raise HilError(
-                f"{said}: a CAN log has no latencies by itself; expected two of one bus: the sender's, then the receiver's"
+                f"{said}: a CAN log has no latencies by itself; expected two of one bus: the sender's, then the receiver's; or, "
+                "of requests and their answers, --can-id and --answer-id"
             )
         return read_can_pair(paths[0], paths[1], can_id, clocks=1 if one_clock else 2)
     if endings == {".csv"} and len(paths) == 2:

@@ -113,6 +113,28 @@ def test_one_bus_seen_twice(tmp_path: Path, ending: str) -> None:
         read_recording(paths, can_id=7)
 
 
+def test_requests_and_their_answers_in_one_log_are_round_trips(tmp_path: Path) -> None:
+    """Another identifier stands between; what has no answer before the next request is lost."""
+    lines = [(t, "201#00") for t in SENT] + [(t + rtt, "181#00") for t, rtt, lost in zip(SENT, LATENCY, LOST) if not lost]
+    lines += [(SENT[~LOST][9] + 0.0099, "181#00"), (-0.5, "181#00"), *((t + 1e-4, "123#00") for t in SENT)]
+    (tmp_path / "bus.log").write_text("".join(f"({100 + t:.6f}) can0 {frame}\n" for t, frame in sorted(lines)))
+    recording = read_recording([tmp_path / "bus.log"], can_id=0x201, answer_id=0x181)
+    way = recording.ways["round trip"]
+    np.testing.assert_allclose(way.sent_s, 100 + SENT, atol=1e-6)
+    assert LATENCY.max() < 0.0099
+    np.testing.assert_allclose(way.difference_s, np.where(LOST, np.nan, LATENCY), atol=2e-6)
+    assert recording.clocks == 1 and "an answer is that to the newest request" in recording.notes[0]
+    assert recording.notes[1:] == ("1 answers came behind the first", "1 answers to no request")
+    for can_id, answer_id, said in (
+        (0x200, 0x181, "bus.log: no frame of identifier 0x200"),
+        (0x201, 0x180, "bus.log: no frame behind one of --can-id has the identifier 0x180"),
+        (0x201, 0x201, "--answer-id: is for one CAN log, with --can-id for the frames that are answered"),
+        (None, 0x181, "--answer-id: is for one CAN log"),
+    ):
+        with pytest.raises(HilError, match=said):
+            read_recording([tmp_path / "bus.log"], can_id=can_id, answer_id=answer_id)
+
+
 def test_what_was_sent_while_the_other_log_did_not_run_is_not_lost(tmp_path: Path) -> None:
     paths = [tmp_path / "sender.log", tmp_path / "receiver.log"]
     for path, shift, kept in ((paths[0], 0.0, range(1000)), (paths[1], 1e-3, sorted({*range(200, 900)} - {300, 301}))):
