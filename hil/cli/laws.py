@@ -78,7 +78,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
         HilError: no such bus, too few packets, or a file that cannot be written.
     """
     from hil.compose import compose
-    from hil.design_questions.loop_on_bus import estimated_laws, exact_laws, to_estimate_from
+    from hil.design_questions.loop_on_bus import estimated_laws, exact_laws, to_estimate_from, ways_over
     from hil.experiment import load_experiment, parse_table
     from hil.files import check_output, write_output
     from hil.rig.can_bus import can_bus_of
@@ -88,7 +88,8 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
     experiment = load_experiment(name, sets)
     loop = compose(experiment, certify=False)
     bus = can_bus_of(loop.rig)
-    files = {} if output is None or bus is None else files_of(output, ("sc", "ca") if bus.table.control else ("sc",))
+    ways = {} if bus is None else ways_over(loop.rig, bus)
+    files = {} if output is None or bus is None else files_of(output, ways)
     for path in files.values():
         check_output(path, "a law", ".toml", force=force)
     found = exact_laws(loop)
@@ -109,10 +110,15 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
         print_json({"experiment": experiment.name, "period_s": period_s, "laws": said})
         return
     for way, law in found.items():
-        title = {"sc": "over the bus to the controller (sc)", "ca": "over the bus to the actuator (ca)"}[way]
+        node = ways[way]
+        title = "over the bus to the actuator (ca)" if node is None else "over the bus to the controller (sc)"
+        if node is not None and way != "sc":
+            title = f"node {loop.rig.sensors[node].name}, {title}"
         _print(experiment.name, period_s, title, shown[way], (law.how, bound_said(law)))
     for way, path in files.items():
-        print(f'written: {visible(path)}; in an experiment: {way}.law = {{ file = "{visible(path)}" }}')
+        node = ways[way]
+        field = f"nodes.{loop.rig.sensors[node].name}.law" if node is not None and way != "sc" else f"{way}.law"
+        print(f'written: {visible(path)}; in an experiment: {visible(field)} = {{ file = "{visible(path)}" }}')
 
 
 def _print(name: str, period_s: float, title: str, law: LawAnalysis, notes: Sequence[str] = ()) -> None:

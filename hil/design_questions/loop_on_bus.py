@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from design.processes.delay_chain import DelayChain
 from hil.errors import HilError, located
 from hil.experiment import Experiment
+from hil.experiment.nodes import ClockTable
 from hil.experiment.table import Seconds
 from hil.files.toml_text import toml_lines
 from hil.log.recordings import class_text, fit_document, law_text
-from hil.log.topics import APPLIED, BUS, ROWS
+from hil.log.topics import APPLIED, BUS
 from hil.rig import RigSpec, rig_of
 from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
-from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
+from hil.rig.can_bus import can_bus_of, own_packets
 from hil.rig.loop import Loop
 from hil.rig.named_files import with_traffic_files
 from hil.rig.sensors import SharedMedium
@@ -33,9 +34,8 @@ from transport.law_fit.packet_record import PacketRecord
 
 LEAST_SLOTS: Final = 1000
 """Slots of the run that a law is estimated from, where the experiment has fewer."""
-
-
-WAYS: Final = ("sc", "ca")
+LEAST_PACKETS: Final = 300
+"""Packets of a node in it."""
 
 
 class BusLaw(Struct, frozen=True, kw_only=True):
@@ -62,20 +62,27 @@ class BusLaw(Struct, frozen=True, kw_only=True):
     text: str
 
 
+def ways_over(rig: RigSpec, bus: SharedMedium) -> dict[str, int | None]:
+    """Return the ways of a loop's packets over a bus, in the order in which it counts them, each with its sensor node's number.
+
+    The only sensor node's is "sc", one of several "sc.NAME"; the controller's is "ca", of no sensor node.
+    """
+    several = len(rig.sensors) > 1
+    ways: dict[str, int | None] = {f"sc.{rig.sensors[n].name}" if several else "sc": n for n in sorted(bus.nodes)}
+    return ways | ({"ca": None} if bus.table.control else {})
+
+
 def exact_laws(loop: Loop) -> dict[str, BusLaw] | None:
-    """Return the law of each way of a loop's packets over its bus, "sc", and "ca" where the bus carries it; None if not exact.
+    """Return the law of each way of a loop's packets over its bus, see `ways_over`; None if they are not exact.
 
     Raises:
-        HilError: it has no CAN bus with time, or several sensor nodes.
+        HilError: it has no CAN bus with time.
     """
-    name = loop.experiment.name
-    bus = _bus(loop.rig, name)
-    if len(loop.rig.sensors) > 1:
-        raise HilError(f"{name}: network.media.{bus.name}: {len(loop.rig.sensors)} sensor nodes, expected one")
+    bus = _bus(loop.rig, loop.experiment.name)
     delays, _ = _delays(loop, bus)
     if delays is None or not delays.exact:
         return None
-    return {way: _exact(loop, delays, way) for way in WAYS[: len(delays.packets)]}
+    return {way: _exact(loop, delays, number, way) for number, way in enumerate(ways_over(loop.rig, bus))}
 
 
 def _bus(rig: RigSpec, name: str) -> SharedMedium:
@@ -86,8 +93,9 @@ def _bus(rig: RigSpec, name: str) -> SharedMedium:
 
 
 def to_estimate_from(experiment: Experiment) -> Experiment:
-    """Return an experiment that runs for long enough that a law can be estimated from its packets."""
-    slots = max(experiment.slots, LEAST_SLOTS)
+    """Return an experiment that runs for long enough that a law can be estimated from the packets of each of its nodes."""
+    slowest = max((node.clock.every for node in experiment.network.nodes.values()), default=1)
+    slots = max(experiment.slots, LEAST_SLOTS, LEAST_PACKETS * slowest)
     return replace(experiment, duration=Seconds(slots * float(experiment.period)))
 
 
@@ -99,19 +107,19 @@ def _delays(loop: Loop, bus: SharedMedium) -> tuple[BusDelays | None, str]:
         return None, str(why)
 
 
-def _bounds(loop: Loop, delays: BusDelays | None, way: str) -> tuple[float | None, int | None]:
+def _bounds(loop: Loop, delays: BusDelays | None, number: int) -> tuple[float | None, int | None]:
     if delays is None:
         return None, None
-    return delays.worst_ns[WAYS.index(way)] / 1e6, _chain(loop, delays, way).max_delay
+    return delays.worst_ns[number] / 1e6, _chain(loop, delays, number).max_delay
 
 
-def _chain(loop: Loop, delays: BusDelays, way: str) -> DelayChain:
-    receiver = loop.rig.at_controller if way == "sc" else loop.rig.at_actuator
-    return chain_of_ages(delays.packets[WAYS.index(way)], receiver._replace(max_age=1 << 20))
+def _chain(loop: Loop, delays: BusDelays, number: int) -> DelayChain:
+    receiver = loop.rig.at_controller if number < len(loop.rig.sensors) else loop.rig.at_actuator
+    return chain_of_ages(delays.packets[number], receiver._replace(max_age=1 << 20))
 
 
-def _exact(loop: Loop, delays: BusDelays, way: str) -> BusLaw:
-    chain = _chain(loop, delays, way)
+def _exact(loop: Loop, delays: BusDelays, number: int, way: str) -> BusLaw:
+    chain = _chain(loop, delays, number)
     at, ages = int(np.flatnonzero(np.asarray(chain.begins))[0]), []
     for _ in range(chain.modes):
         ages.append(int(chain.delay[at]))
@@ -119,7 +127,7 @@ def _exact(loop: Loop, delays: BusDelays, way: str) -> BusLaw:
     spec: dict[str, Any] = {"kind": "trace", "ages": ages}
     if len(set(ages)) == 1:
         spec = {"kind": "constant", "age": ages[0]}
-    worst, largest = _bounds(loop, delays, way)
+    worst, largest = _bounds(loop, delays, number)
     how = f"exact: the ages come again after {len(ages)} slots" if len(ages) > 1 else "exact: one age in every slot"
     said = {"source": loop.experiment.name, "way": way, "class": "exact", "bound_ms": worst, "largest_age": largest}
     text = f'# {how}\n# In an experiment: law = {{ file = "NAME.toml" }}\n\n{toml_lines(spec)}\n[fit]\n{toml_lines(said)}'
@@ -134,17 +142,18 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
         run: its records by topic.
 
     Raises:
-        HilError: as of `exact_laws`; too few packets.
+        HilError: as of `exact_laws`; too few packets of a way.
     """
     experiment = loop.experiment
     bus = _bus(loop.rig, experiment.name)
     (delays, no_bound), period, slots = _delays(loop, bus), float(experiment.period), experiment.slots
-    log, found, deadline, clock = run[BUS.name], {}, experiment.timing.deadline * period, loop.rig.sensors[0].clock
-    for packet in own_packets(loop.rig, bus, loop.rows):
-        way = "ca" if packet.sender == CONTROLLER else "sc"
+    log, found, deadline = run[BUS.name], {}, experiment.timing.deadline * period
+    packets, ways = own_packets(loop.rig, bus, loop.rows), ways_over(loop.rig, bus)
+    for number, (packet, (way, node)) in enumerate(zip(packets, ways.items(), strict=True)):
         last = packet.first + len(packet.sizes(fd=bus.table.dbitrate is not None)) - 1
         own = log[(log["can_id"] == last) & (log["operation"] == 0) & (log["flags"] & 1 == 0)]
-        phase, every = (0, 1) if way == "ca" else (clock.phase, clock.every)
+        clock = ClockTable() if node is None else loop.rig.sensors[node].clock
+        phase, every = clock.phase, clock.every
         sent: NDArray[np.float64] = np.arange(phase, slots, every, dtype=np.float64) * period + (deadline if way == "ca" else 0.0)
         latency = np.full(len(sent), np.nan)
         at = np.searchsorted(sent, own["queued_ns"] / 1e9 - 1e-9)
@@ -158,14 +167,15 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
             notes = (f"latencies are {less} than on the bus: a slot of the law closes at the deadline",)
         with located(f"{experiment.name}: {way}", FieldError):
             fit = fit_law(PacketRecord(sent_s=sent, latency_s=latency), period, deadline)
-        worst, largest = _bounds(loop, delays, way)
+        worst, largest = _bounds(loop, delays, number)
         source = f"{experiment.name}, seed {experiment.seed}, {slots} slots"
         said = fit_document(fit, way, source, notes)
         said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": no_bound}
         spec, seeded, text = fit.spec, f"a run with seed {experiment.seed}", ""
         how = "; ".join((f"estimated: {class_text(fit)}, from {len(sent)} packets of {seeded}", *notes))
         if fit.law_class == "none":
-            ages = (run[ROWS.name]["tau"] if way == "sc" else run[APPLIED.name]["d"])[slots // 10 :]
+            ages = run[APPLIED.name]["d"] if node is None else _ages(sent, latency, slots, period, deadline)
+            ages = ages[slots // 10 :]
             spec = {"kind": "trace", "ages": np.maximum(ages, 0).tolist(), "allow_gaps": True}
             how = f"recorded: no law explains its {len(sent)} packets; the ages of {seeded} stand here"
             text = f"# {how}\n\n{toml_lines(spec)}\n[fit]\n{toml_lines({'source': source, 'way': way, 'class': 'none'})}"
@@ -174,6 +184,19 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
             no_bound=no_bound, text=text or law_text(fit, said),
         )  # fmt: skip
     return found
+
+
+def _ages(
+    sent: NDArray[np.float64], latency: NDArray[np.float64], slots: int, period: float, deadline: float
+) -> NDArray[np.int64]:
+    """How old the newest packet is at the controller in every slot, (slots,); -1 before the first."""
+    of = np.rint(sent / period).astype(np.int64)
+    came = ~np.isnan(latency)
+    late = np.maximum(np.ceil((latency[came] - deadline) / period - 1e-9), 0.0).astype(np.int64)
+    newest = np.full(slots, -1, dtype=np.int64)
+    for slot, at in zip(of[came].tolist(), (of[came] + late).tolist()):
+        newest[at:] = np.maximum(newest[at:], slot)
+    return np.where(newest < 0, -1, np.arange(slots) - newest)
 
 
 ROOM: Final = 16

@@ -49,6 +49,16 @@ def test_every_loop_is_decided_as_its_reference_says(family: str, seeds: range, 
     assert np.median(off) < 1e-3
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_late_sample_delays_no_other(seed: int) -> None:
+    """Sample i is due at 3 i + J_i: the J add up to nothing."""
+    changes, reference = FAMILIES["clocks that draw"](np.random.default_rng(seed))
+    for node in changes["network.nodes"].values():
+        node["clock"] = {"every": 3, "jitter": 2}
+    loop = composed(changes)
+    assert loop.verdict is not None and loop.verdict.number == pytest.approx(reference(loop), rel=1e-4)
+
+
 def test_two_recordings_keep_their_phase() -> None:
     """Of the pairs of entries only those count that come about: shifted by one the second recording makes another loop."""
     plant = {"kind": "state-space", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from msgspec.structs import replace
@@ -12,10 +13,14 @@ from msgspec.structs import replace
 from hil.cli.design import command as design
 from hil.cli.design.experiment import _judge_place
 from hil.cli.laws import command as laws
+from hil.compose import compose
 from hil.design_questions import loop_on_bus
-from hil.design_questions.loop_on_bus import Judged, Place, places_of, recommended
+from hil.design_questions.loop_on_bus import Judged, Place, estimated_laws, places_of, recommended
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.runtime.virtual import simulate
+from transport.law_fit import LawFit, fit_law
+from transport.law_fit.packet_record import PacketRecord
 from transport.law_tests import analysis
 
 BUSY = "dc-motor-busy-can"
@@ -62,6 +67,76 @@ def test_a_bus_with_bit_errors_leaves_no_bound(monkeypatch: pytest.MonkeyPatch) 
     disturbed = ("--set", KNOWN, "--set", "network.media.bus.bit_error_rate=1e-5", "--set", "duration=15", "--json")
     unbounded = json.loads(bus_laws(*disturbed))["laws"]["sc"]
     assert unbounded["worst_ms"] is None and "bit_error_rate" in unbounded["no_bound"]
+
+
+NODES = """
+name = "nodes"
+period = "50 ms"
+duration = "5 s"
+allow_uncertified = true
+plant = { kind = "dc-motor", tachometer = true }
+controller = { kind = "local", gain = [[-0.2, -0.02]] }
+limits = { watchdog_slots = 1000 }
+[network]
+sc = { law = { kind = "constant", age = 0 }, max_age = 9 }
+ca = { law = { kind = "constant", age = 0 }, max_age = 9 }
+[network.nodes.angle]
+outputs = ["angle"]
+[network.nodes.speed]
+outputs = ["speed"]
+clock = { every = 3, phase = 1 }
+[network.media.bus]
+kind = "can"
+nodes = ["angle", "speed"]
+bitrate = 8000
+buffer = "fifo"
+traffic = [{ name = "a", can_id = 1, data = "0102030405060708", period = "150 ms" }]
+"""
+
+
+def laws_of_nodes(folder: Path, *arguments: str) -> str:
+    (folder / "nodes.toml").write_text(NODES)
+    result = CliRunner().invoke(laws, [str(folder / "nodes.toml"), "--from-bus", *arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+def test_every_node_has_a_law_and_the_loop_under_them_is_that_over_the_bus(tmp_path: Path) -> None:
+    """The clock of the second node is in its ages, and the files make the same loop, in the same phases, without the bus."""
+    text = laws_of_nodes(tmp_path, "-o", str(tmp_path / "law.toml"))
+    assert "node speed, over the bus to the controller" in text and "nodes.speed.law = { file" in " ".join(text.split())
+    found = json.loads(laws_of_nodes(tmp_path, "--json"))["laws"]
+    assert list(found) == ["sc.angle", "sc.speed", "ca"] and all(law["exact"] for law in found.values())
+    assert found["sc.speed"]["largest_age"] >= 2 + found["sc.angle"]["spec"].get("age", 1)
+    files = {name: f"{{file={str(tmp_path / f'law.{name}.toml')!r}}}" for name in found}
+    over = load_experiment(str(tmp_path / "nodes.toml"))
+    under = load_experiment(str(tmp_path / "nodes.toml"), (
+        "network.media={}", f"network.nodes.angle.law={files['sc.angle']}",
+        f"network.nodes.speed={{outputs=['speed'], law={files['sc.speed']}}}", f"network.ca.law={files['ca']}",
+    ))  # fmt: skip
+    one, other = (compose(each) for each in (over, under))
+    assert one.verdict is not None and other.verdict is not None and one.verdict.number == pytest.approx(other.verdict.number)
+    first, second = (simulate(loop, 0).arrays["/plant/state"]["angle"] for loop in (one, other))
+    assert first[20:].tolist() == pytest.approx(second[20:].tolist(), rel=1e-5, abs=1e-6) or one.verdict.state == "refused"
+
+
+def test_laws_of_several_nodes_are_estimated_from_the_packets_of_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop_on_bus, "LEAST_SLOTS", 300)
+    found = json.loads(laws_of_nodes(tmp_path, "--set", "network.media.bus.bit_error_rate=1e-4", "--json"))["laws"]
+    assert [law["packets"] for law in found.values()] == [900, 300, 900] and not found["sc.speed"]["exact"]
+
+
+def test_recorded_ages_are_those_that_the_controller_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.design_questions.loop_on_bus.fit_law", _no_law)
+    e = load_experiment(BUSY, ("duration=15", "network.media.bus.bit_error_rate=1e-4"))
+    loop = compose(e, certify=False)
+    run = simulate(loop, 0).arrays
+    recorded = estimated_laws(loop, run)["sc"].spec["ages"]
+    assert recorded == np.maximum(run["/controller/rows"]["tau"], 0).tolist()[30:]
+
+
+def _no_law(record: PacketRecord, *more: float) -> LawFit:
+    return replace(fit_law(record, *more), law_class="none")
 
 
 A, B, C = (f'{{name="{n}", can_id={i:#x}, length=8, period="{p} ms"}}' for n, i, p in (("a", 16, 5), ("b", 17, 5), ("c", 128, 3)))

@@ -29,7 +29,7 @@ from transport.draws import DELIVERED
 NODES = ["first", "second", "third", "fourth"]
 CLOCKS = [f"network.nodes.{name}.clock={{every={n + 2}, phase={n}}}" for n, name in enumerate(NODES)]
 BUS = "network.media.bus={{kind='can-arbitration', nodes=['first', 'second', 'third', 'fourth'], frames=1, loss={loss}}}"
-UNIFORM = "latency={dist='uniform', loc=0.0, scale=0.13}"
+UNIFORM = "latency={dist='uniform', loc=0.0, scale=0.18}"
 SETS = {
     "three samples": ["network.media.bus.loss=0.6"],
     "unlike nodes": [
@@ -47,25 +47,32 @@ SETS = {
         "network.nodes.third.law={kind='markov', matrix=[[0.5, 0.3, 0.2], [0.6, 0.2, 0.2], [0.4, 0.3, 0.3]], allow_gaps=true}",
         "network.sc.max_age=2",
     ],
-    "late packets": [f"network.nodes.first.law={{kind='packet', loss=0.2, {UNIFORM}}}", "network.sc.max_age=3"],
+    "late packets": [
+        f"network.nodes.first.law={{kind='packet', loss=0.2, {UNIFORM}}}", "network.sc.max_age=3", "network.media={}",
+        "network.nodes.first.buffer=1",
+    ],
     "late packets in order": [
         f"network.nodes.first.law={{kind='packet', loss=0.2, reordering=false, {UNIFORM}}}", "network.sc.max_age=3",
     ],
-    "a recording": ["network.nodes.second.law={kind='trace', ages=[0, 3, 1, 1, 2], allow_gaps=true}", "network.sc.max_age=3"],
+    "a recording": [
+        "network.nodes.second.law={kind='trace', ages=[0, 3, 1, 1, 3, 2], allow_gaps=true}", "network.sc.max_age=3",
+        "network.media={}", "network.nodes.second.buffer=1",
+    ],
     "commands by a chain": ["network.ca.law={kind='markov', matrix=[[0.3, 0.7], [0.6, 0.4]]}"],
     "commands get lost": [f"network.ca={{law={{kind='packet', loss=0.3, {UNIFORM}}}, max_age=1}}"],
 }  # fmt: skip
 
 
-def with_gains(which: str, *sets: str, uses: str = "history", cut: int = 5) -> Loop:
+def with_gains(which: str, *sets: str, uses: str = "history", cut: int | None = None) -> Loop:
     """multisensor-ours under random gains on every sample that comes."""
     free = load_experiment("multisensor-ours", ["duration=2", "allow_uncertified=true", *SETS[which], *sets])
     nodes = rig_of(free).nodes
     known = replace(nodes, delays=tuple(delay or 0 for delay in nodes.delays))
-    mask = mask_of(known, cut, uses)  # type: ignore[arg-type]
+    mask = mask_of(known, cut or (3 if which == "late packets" else 5), uses)  # type: ignore[arg-type]
     gains = np.random.default_rng(1).normal(size=mask.shape) * mask
     table = f"controller={{kind='historical', uses='{uses}', gains={gains[:, :, None, :].tolist()}}}"
-    return compose(load_experiment("multisensor-ours", ["duration=2", *SETS[which], table, *sets]), certify=False)
+    free_of_limits = ["duration=2", "limits={watchdog_slots=1000}"]
+    return compose(load_experiment("multisensor-ours", [*free_of_limits, *SETS[which], table, *sets]), certify=False)
 
 
 def phases_of(loop: Loop) -> tuple[DelayedPlant, PhaseGains]:
