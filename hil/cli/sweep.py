@@ -79,6 +79,7 @@ def command(
     """
 
     from design.monte_carlo import Workers
+    from hil.compose import compose
     from hil.experiment import load_experiment
     from hil.files import check_output, check_page, write_output
     from hil.sweeps import SweepStore, statistics
@@ -111,9 +112,10 @@ def command(
     rule = stop_rule(until, 0.95 if level is None else level, metrics) if until is not None else None
     begun = time.perf_counter()
     with ExitStack() as stack:
-        store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
         watch = stack.enter_context(Working(checked.name, runs))
-        found = run_sweep(checked, seeds, workers=workers, progress=watch.counted, store=store, until=rule)
+        loop = compose(checked)
+        store = stack.enter_context(SweepStore(resume, checked, columns, loop)) if resume is not None else None
+        found = run_sweep(checked, seeds, workers=workers, progress=watch.counted, store=store, until=rule, loop=loop)
     values = found.values
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)

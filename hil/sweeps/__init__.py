@@ -25,6 +25,7 @@ from hil.experiment import Experiment
 from hil.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
+from hil.rig.loop import Loop, digest_of
 from hil.sweeps.shown import (
     ShownResult,
     Values,
@@ -120,15 +121,16 @@ class SweepStore:
         path: the file; made if it is not there.
         experiment: what the rows belong to; its own seed does not matter.
         metrics: columns of a row, besides ``seed``.
+        loop: of the experiment: with other gains, of a file that the experiment names or solved anew, the rows belong to another.
 
     Raises:
         HilError: if the file belongs to something else, is in use, or cannot be written.
     """
 
-    def __init__(self, path: Path, experiment: Experiment, metrics: Sequence[str]) -> None:
+    def __init__(self, path: Path, experiment: Experiment, metrics: Sequence[str], loop: Loop | None = None) -> None:
         self.path = path
         self.rows: dict[int, dict[str, float]] = {}
-        head = {"format": FORMAT, "experiment": experiment.name, "digest": _digest(experiment), "metrics": list(metrics)}
+        head = {"format": FORMAT, "experiment": experiment.name, "digest": _digest(experiment, loop), "metrics": list(metrics)}
         with located(f"--resume: {path}", OSError):
             if path.exists() and not path.is_file():  # a device has no end
                 raise HilError(f"--resume: {path} is no file")
@@ -222,6 +224,7 @@ class SweepStore:
         self.close()
 
 
-def _digest(experiment: Experiment) -> str:
+def _digest(experiment: Experiment, loop: Loop | None) -> str:
     resolved = {k: v for k, v in experiment.resolved().items() if k not in ("seed", "name", "description")}
+    resolved |= {} if loop is None else {"loop": digest_of(loop.experiment, loop.controller, loop.model)}
     return hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()

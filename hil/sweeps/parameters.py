@@ -13,6 +13,7 @@ import numpy as np
 
 from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval, difference_interval
+from hil.compose import compose
 from hil.errors import HilError, located
 from hil.experiment import Experiment
 from hil.measure import Quantity
@@ -212,15 +213,17 @@ def sweep_parameters(
     for number, experiment in enumerate(experiments):
         before = number * len(seeds)
         name = sha256("\n".join(points.changes(number)).encode()).hexdigest()[:16]
-        store = SweepStore(folder / f"{name}.jsonl", experiment, columns_of(experiment)) if folder is not None else None
-        with located(", ".join(points.changes(number)), HilError), store or nullcontext():
-            found = run_sweep(
-                experiment,
-                seeds,
-                workers=workers,
-                progress=lambda n, before=before: progress(before + n),  # type: ignore[misc]
-                store=store,
-            )
+        with located(", ".join(points.changes(number)), HilError):
+            loop, columns = compose(experiment), columns_of(experiment)
+            with nullcontext() if folder is None else SweepStore(folder / f"{name}.jsonl", experiment, columns, loop) as store:
+                found = run_sweep(
+                    experiment,
+                    seeds,
+                    workers=workers,
+                    progress=lambda n, before=before: progress(before + n),  # type: ignore[misc]
+                    store=store,
+                    loop=loop,
+                )
         if found.interrupted:
             return made(interrupted=found.interrupted)
         done.append(found.values)

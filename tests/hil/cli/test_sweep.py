@@ -9,6 +9,7 @@ from typing import NoReturn
 
 import pytest
 
+import hil
 from hil.sweeps import seeds
 from tests.hil.cli.conftest import Hil
 
@@ -157,3 +158,17 @@ def test_a_number_that_no_run_has_is_said_and_takes_no_row(cli: Hil) -> None:
 def test_a_sweep_over_points_says_which_is_the_best(cli: Hil) -> None:
     out = " ".join(cli("sweep", "dc-motor-hinf", "--grid", "plant.gain=100,170", "--runs", "3", *SHORT)[1].split())
     assert "best point: plant.gain=" in out
+
+
+@pytest.mark.parametrize("points", [(), ("--grid", "plant.gain=170,172.38")])
+def test_runs_with_other_gains_in_the_file_that_is_named_are_not_gone_on_with(
+    cli: Hil, monkeypatch: pytest.MonkeyPatch, points: tuple[str, ...]
+) -> None:  # fmt: skip
+    text = cli("show", "dc-motor-hinf")[1].replace('kind = "hinf"', 'kind = "designed"\nfile = "gains.json"')
+    Path("mine.toml").write_text(text)
+    for R, expected in ((0.01, 0), (0.01, 0), (0.5, 2)):
+        hil.design("dc-motor", information="constant", starts=1, R=R).save("gains.json", force=True)
+        monkeypatch.setattr("tests.hil.cli.conftest.COMPOSED", {})
+        status, _, err = cli("sweep", "mine.toml", "--runs", "2", *SHORT, "--resume", "kept", *points)
+        assert status == expected, err
+    assert "holds runs of 'dc-motor-hinf' with another digest" in " ".join(err.split())
