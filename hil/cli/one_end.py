@@ -95,6 +95,7 @@ def traffic(file: Path, link: str, without: tuple[str, ...]) -> None:
     .csv as of hil can analyse. So a controller under test has its bus around it. Runs until Ctrl-C, and says how many were sent.
     """
     from hil.rig.named_files import read_traffic
+    from transport.links.python_can import bus_of
 
     found, _ = read_traffic(file, start_values=True)
     nodes = sorted({each.node for each in found})
@@ -105,32 +106,8 @@ def traffic(file: Path, link: str, without: tuple[str, ...]) -> None:
     if not messages:
         raise HilError(f"--without: nothing is left of {file}")
 
-    with _bus(link, fd=any(each.fd for each in messages)) as bus:
+    with bus_of(link, fd=any(each.fd for each in messages)) as bus:
         _send_again_and_again(bus, messages, link)
-
-
-def _bus(link: str, *, fd: bool) -> BusABC:
-    """Return a bus of python-can.
-
-    Raises:
-        HilError: it cannot be had.
-    """
-    from transport.links import TransportError, split_uri
-    from transport.links.can_open import check_options, remedy, value_of
-    from transport.links.python_can import can
-
-    try:
-        scheme, address, options = split_uri(link)
-        if scheme != "can":
-            raise HilError(f"link {link!r}: expected can:INTERFACE:CHANNEL, such as can:socketcan:vcan0")
-        check_options(link)
-        interface, _, channel = address.partition(":")
-        said: dict[str, Any] = {name: value_of(text) for name, text in options.items()}
-        return can.Bus(channel, interface=interface, ignore_config=True, **{"fd": fd, **said})
-    except TransportError as error:
-        raise HilError(str(error)) from error
-    except (can.CanError, OSError, ValueError, TypeError) as error:
-        raise HilError(f"link {link!r}: {error}{remedy(interface, channel, error)}") from error
 
 
 def _send_again_and_again(bus: BusABC, messages: Sequence[TrafficTable], link: str) -> NoReturn:

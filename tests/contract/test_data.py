@@ -23,8 +23,8 @@ OPEN = {"CanNode", "DesignResult", "Waiting", "_Packet"}
 IN_ORDER = {
     "AgePath", "Approximately", "Between", "BitRates", "BusStatus", "CanNode", "Check", "Claim", "Draft", "Drawn", "Equals",
     "FirstIdentifiers", "GainParametrisation", "Layout", "Line", "Lines", "LinkCounters", "LmiProgram", "LoopStructure",
-    "NotJudged", "Page", "RealOutcome", "Refusals", "Samples", "Stage", "Statement", "Sweep", "Trip", "Turn", "Waiting", "Weight",
-    "Wish", "_Packet", "_Packets", "_Point",
+    "MessageTable", "NotJudged", "Page", "Place", "RealOutcome", "Refusals", "Samples", "Stage", "Statement", "Sweep", "Trip",
+    "Turn", "Waiting", "Weight", "Wish", "_Packet", "_Packets", "_Point",
 }  # fmt: skip
 """Made of values whose order is as plain as their names."""
 

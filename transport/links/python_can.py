@@ -17,8 +17,9 @@ from importlib import import_module
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.links import TransportError
+from transport.links import TransportError, split_uri
 from transport.links.can_datagram import ERROR, EXTENDED, ID_MASK, REMOTE
+from transport.links.can_open import check_options, remedy, value_of
 
 if TYPE_CHECKING:
     from transport.can_bus_model.disturbances import BusFault
@@ -34,7 +35,7 @@ else:
 
 logging.getLogger("can").addHandler(logging.NullHandler())  # else Python prints warnings; a program that asks for them has them
 
-__all__ = ["INTERFACES", "MessageFrames", "can", "join_interface", "options_of", "with_mf4"]
+__all__ = ["INTERFACES", "MessageFrames", "bus_of", "can", "join_interface", "options_of", "with_mf4"]
 
 INTERFACES: Final = can.VALID_INTERFACES
 """Names of the interfaces that python-can knows."""
@@ -118,6 +119,28 @@ class MessageFrames:
 
 def _of_system(error: can.CanError) -> OSError:
     return OSError(error.error_code, str(error))
+
+
+def bus_of(uri: str, *, fd: bool) -> can.BusABC:
+    """Return a bus of python-can, whatever travels on it.
+
+    Args:
+        uri: ``can:INTERFACE:CHANNEL``, with options of the interface.
+        fd: whether it takes CAN FD frames, where the URI does not say.
+
+    Raises:
+        TransportError: another link, or it cannot be had.
+    """
+    scheme, address, options = split_uri(uri)
+    if scheme != "can":
+        raise TransportError(f"link {uri!r}: expected can:INTERFACE:CHANNEL, such as can:socketcan:vcan0")
+    check_options(uri)
+    interface, _, channel = address.partition(":")
+    said: dict[str, Any] = {name: value_of(text) for name, text in options.items()}
+    try:
+        return can.Bus(channel, interface=interface, ignore_config=True, **{"fd": fd, **said})
+    except (can.CanError, OSError, ValueError, TypeError) as error:
+        raise TransportError(f"link {uri!r}: {error}{remedy(interface, channel, error)}") from error
 
 
 def join_interface(interface: str, channel: str, *, fd: bool, quiet: bool, options: dict[str, Any]) -> MessageFrames:
