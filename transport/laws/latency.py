@@ -1,7 +1,7 @@
 """Latencies of packets in seconds: a constant, any scipy.stats law, a quantile table, or a recorded trace.
 
 Whatever the source, a law of latencies becomes a piecewise linear quantile function: level u of [0, 1] to seconds.
-Drawing is one bisection then, and only the process that composes a run ever loads scipy.stats.
+Drawing is one bisection then, and only the process that composes a run of a rare law ever loads scipy.stats.
 """
 
 from __future__ import annotations
@@ -21,14 +21,12 @@ from numpy.typing import NDArray
 
 from transport.durations import UNITS, in_seconds
 from transport.errors import FieldError, nearest
-from transport.laws.stochastic_matrix import checked_row
+from transport.laws.standard_quantiles import SMALLEST_LEVEL, shapes_of, standard_quantiles
 from transport.laws.trace import read_column
 
 EARLY = 1e-6
-SMALLEST_LEVEL = 2.0**-33
 MOST_SHAPE = 1e300
 """No parameter of a law is larger, and a whole number may be."""
-MOST_ATOMS = 100_000
 
 
 def seconds(path: str, value: object) -> float:
@@ -233,15 +231,8 @@ def _from_table(rows: object, path: str) -> QuantileTable:
 
 
 def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
-    from scipy import stats  # over a second of imports: only where a run is composed
-
     name = spec["dist"]
-    family = getattr(stats, name, None) if isinstance(name, str) else None
-    if not isinstance(family, (stats.rv_continuous, stats.rv_discrete)):
-        laws = [n for n, law in vars(stats).items() if isinstance(law, (stats.rv_continuous, stats.rv_discrete))]
-        near = nearest(str(name), laws)
-        raise FieldError(f"{path}.dist", f"scipy.stats has no law {name!r}" + (f"; did you mean {near!r}?" if near else ""))
-    shapes = [shape.strip() for shape in (family.shapes or "").split(",") if shape.strip()]
+    shapes = shapes_of(name, path)
     _known(spec, ["dist", *shapes, "loc", "scale"], path)
     arguments: dict[str, float] = {}
     for shape in shapes:
@@ -256,10 +247,8 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     loc, scale = seconds(f"{path}.loc", spec.get("loc", 0.0)), seconds(f"{path}.scale", spec.get("scale", 1.0))
     if not scale > 0.0:
         raise FieldError(f"{path}.scale", f"got {scale:g} s, expected a positive duration")
-    frozen = family(**arguments)
     described_as = f"{name}({', '.join(f'{k}={v:g}' for k, v in arguments.items())})"
-    discrete = isinstance(family, stats.rv_discrete)
-    levels, standard = _atoms(frozen, path) if discrete else _knots(frozen)
+    levels, standard, end = standard_quantiles(name, arguments, path)
     with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused below
         values = _kept(loc + scale * standard)
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
@@ -269,7 +258,7 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
         raise FieldError(path, f"by {described_as} a share of {early:.2g} arrives before it is sent; shift it by loc")
     return QuantileTable(
         levels=tuple(levels.tolist()), values_s=tuple(np.maximum(values, 0.0).tolist()),
-        cut=0.0 if math.isfinite(frozen.support()[1]) else SMALLEST_LEVEL,
+        cut=0.0 if math.isfinite(end) else SMALLEST_LEVEL,
     )  # fmt: skip
 
 
@@ -284,36 +273,3 @@ def _kept(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return values
     unit = math.ldexp(1.0, math.frexp(middle)[1] - 24)
     return np.asarray(np.rint(values / unit) * unit)
-
-
-def _knots(frozen: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Knots of a continuous law: 512 steps in the middle, 16 per factor 2 in the tails down to 2^-33.
-
-    Level 0 and 1 belong to the ends of the support, or to the last knots where that is infinite: one packet in 10^10
-    is cut.
-    """
-    tail = np.concatenate([np.ldexp(1.0 + np.arange(16) / 16.0, e) for e in range(-33, -5)])
-    inner = np.concatenate([tail, np.linspace(2.0**-5, 1.0 - 2.0**-5, 513), (1.0 - tail)[::-1]])
-    with np.errstate(over="ignore"):  # a quantile beyond all numbers is infinite, and refused as such
-        values = np.concatenate([frozen.ppf(inner[: len(tail) + 513]), frozen.isf(tail[::-1])])
-    ends = np.array(frozen.support(), dtype=np.float64)
-    ends = np.where(np.isfinite(ends), ends, values[[0, -1]])
-    return np.concatenate([[0.0], inner, [1.0]]), np.concatenate([ends[:1], values, ends[1:]])
-
-
-def _atoms(frozen: Any, path: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Knots of a discrete law: every atom is a flat piece."""
-    mean = float(frozen.mean())
-    middle = mean if math.isfinite(mean) else frozen.support()[0]
-    # Asked before the quantiles are, which scipy seeks atom by atom: under zipf(1.2) for hours.
-    if frozen.sf(middle + MOST_ATOMS) > SMALLEST_LEVEL:
-        raise FieldError(path, f"has more than {MOST_ATOMS} possible values, expected fewer")
-    low, high = frozen.ppf([SMALLEST_LEVEL, 1.0 - SMALLEST_LEVEL])
-    if not high - low < MOST_ATOMS:
-        raise FieldError(path, f"has {high - low:g} possible values, expected fewer than {MOST_ATOMS}")
-    atoms = np.arange(low, high + 1.0)
-    row = np.asarray(frozen.pmf(atoms), dtype=np.float64)
-    checked_row(path, (row / row.sum()).tolist())
-    reached = np.rint(np.concatenate([[0.0], np.cumsum(row / row.sum())]) / SMALLEST_LEVEL) * SMALLEST_LEVEL
-    reached[-1] = 1.0
-    return np.repeat(reached, 2)[1:-1], np.repeat(atoms, 2)

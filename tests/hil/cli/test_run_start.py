@@ -60,6 +60,8 @@ def test_a_caller_of_the_command_line_keeps_its_garbage_collection(cli: Hil, loo
 
 COMPARED = """
 import hil, hil.cli.design, design.identification.output_error
+from hil.compose import compose
+compose(hil.load_experiment("dc-motor-packets"))
 hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1)
 print(json.dumps(sorted(sys.modules)))
 """
@@ -67,7 +69,8 @@ print(json.dumps(sorted(sys.modules)))
 
 def test_what_needs_no_part_of_scipy_loads_none(tmp_path: Path) -> None:
     """Half a second of CPU each: who certifies stored gains looks for no others; a law is fitted to a measured network alone, a
-    comparison in which no run was stopped tests nothing, and an axis that is identified has filters of two states.
+    comparison in which no run was stopped tests nothing, an axis that is identified has filters of two states, and quantiles of
+    common latencies are a line each.
     """
     loaded = tried(tmp_path, TRY + COMPARED, "run", "multisensor-ours", "--duration", "0.1", "--quiet")
     assert "design.historical_data.guaranteed_cost" in loaded

@@ -28,6 +28,7 @@ from transport.laws import load_files, prepare, slots_served
 from transport.laws.delay_states import long_run
 from transport.laws.latency import LatencySpec, described, latency, seconds
 from transport.laws.packet import GilbertElliott, PacketLaw
+from transport.laws.standard_quantiles import SHAPES, standard_quantiles
 from transport.medium.independent import Impairment, impair
 
 T, DEADLINE = 0.010, 0.004
@@ -67,6 +68,18 @@ def test_tabulated_latencies_are_those_of_scipy(spec: LatencySpec, law: Any) -> 
     assert stats.kstest(sample, law.cdf).pvalue > 1e-6
     assert np.abs(table.cdf(sample) - law.cdf(sample)).max() < 1e-4
     assert table.cdf(sample) == pytest.approx(u, abs=1e-4), "values are rounded to 2^-24 of the middle one"
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_quantiles_of_common_laws_are_those_of_scipy_stats(name: str) -> None:
+    for shape in (0.3, 1.0, 4.0)[: 1 + 2 * len(SHAPES[name])]:
+        known, given = getattr(stats, name)(*[shape] * len(SHAPES[name])), dict.fromkeys(SHAPES[name], shape)
+        levels, values, end = standard_quantiles(name, given, "latency")
+        assert end == known.support()[1] and len(levels) > 1000
+        inner = slice(1, len(levels) // 2)  # the upper tail is asked for by its own probability
+        np.testing.assert_allclose(values[inner], known.ppf(levels[inner]), rtol=1e-14)
+        tail = np.ldexp(1.0 + np.arange(16) / 16.0, -30)[::-1]
+        np.testing.assert_allclose(values[-65:-49], known.isf(tail), rtol=1e-14)
 
 
 def test_a_discrete_law_has_atoms_in_units_of_its_scale() -> None:
