@@ -46,6 +46,18 @@ def read_dbc(text: str) -> Any:
         raise ValueError(f"is no DBC: {str(error).partition(chr(10))[0]:.200}") from error
 
 
+def check_places(message: Any) -> None:
+    """Refuse a message of `cantools` whose signals overlap or stand beyond its end: no frame could be made of it.
+
+    Raises:
+        ValueError: with what `cantools` says.
+    """
+    try:
+        message.refresh(strict=True)
+    except Exception as error:  # its own errors have no class in common with ours
+        raise ValueError(f"message {message.name}: {error}") from error
+
+
 def start_numbers(message: Any) -> dict[str, float]:
     """Return what travels in each signal of a message of `cantools` by default: its start value (GenSigStartValue), else 0.
 

@@ -21,7 +21,7 @@ from hil.experiment.tables import Experiment
 from hil.files import open_regular
 from hil.files.can_logs import CAN_LOG_ENDINGS, can_frames
 from transport.can_bus_model import CanFrame
-from transport.dbc import read_dbc, start_numbers
+from transport.dbc import check_places, read_dbc, start_numbers
 from transport.errors import FieldError
 from transport.laws import NetworkLaw, load_files, slots_served
 from transport.wire import frame_length
@@ -184,6 +184,7 @@ def _of_dbc(path: Path, text: str, start_values: bool) -> tuple[tuple[TrafficTab
                     "node": message.senders[0] if message.senders else "",
                 }  # fmt: skip
                 if start_values:
+                    check_places(message)
                     values["data"] = message.encode(start_numbers(message), scaling=False, strict=False).hex()
                 found.append(_sound(values))
     return tuple(found), tuple(message.name for message in database.messages if not message.cycle_time)

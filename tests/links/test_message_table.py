@@ -65,6 +65,21 @@ def test_the_limits_of_a_signal_are_decimals_and_a_command_beyond_them_is_none(
     assert math.isnan(received) if value is None else received == pytest.approx(value / 2)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("Angle : 0|16@1-", "Angle : 56|16@1-", "outputs: message Encoder: The signal Angle does not fit in message Encoder."),
+        ("Angle : 0|16@1-", "Angle : 10|16@1-", "outputs: message Encoder: The signals Alive and Angle are overlapping in "
+         "message Encoder."),
+    ],
+)  # fmt: skip
+def test_a_message_of_which_no_frame_can_be_made_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(DBC.read_text().replace(old, new))
+    assert refused(path) == said
+    assert read_table({"dbc": str(path), **ONE, "outputs": "Setpoint.Wanted"}).measured == {386}, "the others may be used"
+
+
 def test_a_signal_of_one_value_and_a_file_that_is_no_dbc_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "other.dbc"
     other.write_text(DBC.read_text().replace("Which M", "Which").replace("One m0", "One"))

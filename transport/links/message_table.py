@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from msgspec import Struct
 
-from transport.dbc import read_dbc
+from transport.dbc import check_places, read_dbc
 from transport.errors import FieldError, nearest
 from transport.links import TransportError
 from transport.links.can_datagram import EXTENDED, ID_MASK
@@ -163,6 +163,10 @@ def _table(messages: Sequence[Any], said: Mapping[str, str]) -> MessageTable:
         signal = _found(option, f"signal of {name}", signal_name, {signal.name: signal for signal in message.signals})
         if message.is_multiplexed() or message.is_container:
             raise FieldError(option, f"message {name} is multiplexed, expected one whose signals all have a place of their own")
+        try:
+            check_places(message)
+        except ValueError as error:
+            raise FieldError(option, str(error)) from error
         key = message.frame_id | EXTENDED * bool(message.is_extended_frame)
         others = {other for (at, _), other in taken.items() if at == key}
         if (key, signal_name) in taken or (others and ("inputs" in others) != (option == "inputs")):
