@@ -149,6 +149,11 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     limited = pushed is not None and bool(np.isfinite(pushed.within).any())
     if pushed is not None and not limited and verdict.state == "refused" and not _by_bounds(loop):
         return _grows_from_afar(verdict, pushed)
+    if pushed is not None and limited and pushed.clips and verdict.state == "refused":
+        from hil.certify.saturation import runs_away
+
+        if (lost := runs_away(loop, verdict, limits=pushed.within, named=", ".join(pushed.names))) is not None:
+            return lost
     if clamped and (pushed is None or not verdict.certified):
         return _undecided(verdict, CLAMPED)
     if pushed is None or not verdict.certified:

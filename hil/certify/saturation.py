@@ -56,6 +56,31 @@ def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, push
     return None
 
 
+def runs_away(loop: CertificationProblem, verdict: Verdict, *, limits: Array, named: str) -> Verdict | None:
+    """Return the refusal of a loop that grows within its limits, where from far enough no command holds it; None elsewhere.
+
+    A mode of the plant that grows, see `escapes`, runs away from any state in which it is large, whatever the controller answers:
+    the loop is stable in the mean square neither near its rest nor far from it.
+
+    Args:
+        loop: the loop; beyond a limit its plant acts as at the limit.
+        verdict: the refusal of the loop within its limits.
+        limits: largest command, (m,); inf where there is none.
+        named: what departs, as phrases.
+    """
+    rates, left = np.linalg.eig(loop.stacked.A.T)
+    held = [bool(np.isfinite(limits[np.abs(mode @ loop.stacked.B) > 0.0]).all()) for mode in left.T]
+    rate = float(np.abs(rates[held]).max(initial=0.0))
+    if rate <= 1.0 + ROUNDING:
+        return None
+    return replace(
+        verdict, kind="practical stability",
+        reason=f"a mode of the plant that grows by {100.0 * (rate - 1.0):.3g} % in a slot is held from far enough by no command "
+        f"({named}); within the limits {verdict.reason}",
+        method=f"{verdict.method}; left eigenvector of the open plant",
+    )  # fmt: skip
+
+
 def ends_from_anywhere(
     loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array
 ) -> Verdict:

@@ -238,3 +238,16 @@ def test_a_run_that_waits_for_a_node_begins_elsewhere(pushed: bool) -> None:
     assert verdict.certified and not away, verdict
     verdict, away = lost(6)
     assert away and verdict.state == "undecided" and "rows are zeros until a packet of every node has come" in verdict.reason
+
+
+@pytest.mark.parametrize(("pole", "state"), [(0.4, "refused"), (-0.4, "undecided")])
+def test_what_grows_within_its_limits_is_refused_where_no_command_holds_the_plant_from_afar(pole: float, state: str) -> None:
+    """x' = 0.4 x + sat(u) under a gain that is too large: with 1 beside it x = 3 runs away, whatever the command."""
+    plant = {"kind": "state-space", "A": [[pole]], "B": [[1.0]], "C": [[1.0]], "initial_state": [3.0], "saturation": [1.0]}
+    loop = compose(load_experiment(
+        "dc-motor-h2", plant=plant, controller={"kind": "local", "gain": [[-60.0]]}, reference=[], disturbance=[],
+        allow_uncertified=True, limits={"watchdog_slots": 1000}, duration=20,
+    ))  # fmt: skip
+    assert loop.verdict is not None and loop.verdict.state == state, loop.verdict.reason
+    end = abs(float(simulate(loop, 0).arrays["/plant/state"]["x1"][-1]))
+    assert end > 100.0 if state == "refused" else end < 10.0
