@@ -181,7 +181,7 @@ def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], reached: dict
             rows.append(["  lower bound", f"{best['lower_bound']:.4g}", ""])
     print_table(Table(columns=("problem", "mean", "95 % interval"), rows=rows), folds=True)
     for problem in chosen:
-        by = known.get(problem.name, {}).get("controller", "none")
+        by = known.get(problem.name, {}).get("controller", "none").replace(",", ", ")  # a long one folds
         said = reached[problem.name].said if problem.name in reached else f"{problem.source}; best known with controller = {by}"
         if said:
             print_folded(f"{problem.name}: {said}")

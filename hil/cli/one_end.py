@@ -127,13 +127,13 @@ def _send_again_and_again(bus: BusABC, messages: Sequence[TrafficTable], link: s
             if now < at:  # a signal came
                 continue
             data = os.urandom(each.length) if each.data is None else bytes.fromhex(each.data)
+            sent += 1  # before, as a signal comes behind: what others have received is counted
             try:
                 bus.send(can.Message(
                     arbitration_id=each.can_id, is_extended_id=each.extended, is_fd=each.fd, bitrate_switch=each.fd, data=data,
                 ))  # fmt: skip
-                sent += 1
             except (can.CanError, OSError):
-                lost += 1
+                sent, lost = sent - 1, lost + 1
             period = max(round(each.period * 1e9), 1)
             heapreplace(due, (at + period * max(1, -((at - now) // period)), number))
     finally:
