@@ -167,16 +167,18 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     A, B, C = loop.stacked.A, loop.stacked.B, loop.stacked.C
     n, m = B.shape
     sums = np.array(its.integral_limit if its.order else ())
-    added = np.append(pushed.outputs, sums)
-    p, measured = len(added), np.vstack([C, np.zeros((len(sums), n))])
-    # the plant with what is added to its outputs as p states that last no slot, and clamped sums as outputs that it does not make
+    p, measured = len(C) + len(sums), np.vstack([C, np.zeros((len(sums), n))])
+    # The plant with what is added to its outputs as states that last no slot, and clamped sums as outputs that it does not make.
+    # A sum is that of the slot, whatever the age of the sample beside it: no register holds it for a later slot.
     closed, chances, applied, standing = modes(
         np.block([[A, np.zeros((n, p))], [np.zeros((p, n + p))]]), np.vstack([B, np.zeros((p, m))]),
         np.hstack([measured, np.eye(p)]),
     )  # fmt: skip
-    kept, q = np.r_[0:n, n + p : closed.shape[-1]], pushed.states.shape[1]
+    held, outputs = standing[:, n + len(C) : n + p], slice(n, n + len(C))
+    kept, q = np.array([i for i in range(closed.shape[-1]) if not n <= i < n + p and not held[i].any()]), pushed.states.shape[1]
     own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), q + p))
-    E[:, : len(pushed.states), :q], E[:, :, q:] = pushed.states, closed[:, kept][:, :, n : n + p] * added
+    E[:, : len(pushed.states), :q], E[:, :, q : q + len(C)] = pushed.states, closed[:, kept][:, :, outputs] * pushed.outputs
+    E[:, :, q + len(C) :] = (closed @ held)[:, kept] * sums
     ends = {}
     try:
         for row, signal in zip(C, loop.plant.outputs):
@@ -199,7 +201,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     from hil.certify.region import ClosedLoop, judge_region
     from hil.certify.saturation import ends_from_anywhere, escapes
 
-    adds = (np.abs(applied[:, :, n : n + p]) @ added).max(axis=0) + share
+    adds = (np.abs(applied[:, :, outputs]) @ pushed.outputs + np.abs(applied @ held) @ sums).max(axis=0) + share
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)
     by_plant = pushed_by(loop, np.zeros(m)) if pushed.clips else None  # what a clamped integral adds is within the limit too

@@ -269,6 +269,23 @@ def test_a_clamped_sum_ends_within_that_moves_a_state_of_the_controllers_own(wei
     assert 0.3 * bound < max(levels) < bound and twice == pytest.approx(2.0 * bound)
 
 
+def test_a_clamped_sum_is_that_of_the_slot_whatever_the_age_of_the_sample_beside_it() -> None:
+    """Ages alternate: a sum that was kept with its sample would act by +1, then by -a, and be gone; x(k+1) = a x(k) + b u."""
+    a, b = np.exp(-0.1), 1.0 - np.exp(-0.1)
+    gains, still = [[[[0.0, 1.0, 0.0]]], [[[0.0, -a, 0.0]]]], [[[0.0, 0.0, 0.0]]] * 2
+    verdict = composed(
+        "dc-motor-hinf", plant={"kind": "state-space", "A": [[-1.0]], "B": [[1.0]], "C": [[1.0]]}, period=0.1, limits={},
+        controller={"kind": "send-all", "selection": "constant", "integral": True, "integral_limit": [1.0], "gains": gains,
+                    "state_gains": still},
+        reference=[], disturbance=[],
+        **{"network.sc.law": {"kind": "markov", "matrix": [[0.0, 1.0], [1.0, 0.0]]}, "network.ca.law": AT_ONCE},
+    ).verdict  # fmt: skip
+    assert verdict is not None and verdict.kind == "practical stability"
+    from_end_to_end = b * (1.0 + a**2) / (1.0 - a**2)  # sums 1, -1, 1, ...
+    bound = verdict.details["ends_within"]["y1"]  # type: ignore[index]
+    assert from_end_to_end < bound < 2.0 * from_end_to_end
+
+
 def relative(share: float, **changes: Any) -> Loop:
     trigger = {"kind": "relative", "threshold": share}
     return composed("dc-motor-two-nodes", **{"controller": NO_AGES, "network.nodes.angle.trigger": trigger} | changes)
