@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import sys
 from dataclasses import replace
 from functools import partial
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 _TRAFFIC = (".csv", ".dbc")
 _CODEC = "hilrig"
+NOT_THERE = 127
+"""Status of a command that is not there, as a shell's."""
 
 
 @click.group(cls=Questions)
@@ -311,6 +314,9 @@ def vcan(
         raise click.UsageError(f"--backend {backend} has no virtual time")
     if source is not None and not source.is_file():
         raise click.BadParameter(f"there is no file {visible(source)}", param_hint="--source")
+    if shutil.which(argv[0]) is None and not os.path.lexists(argv[0]):  # now, and not behind the build of a kernel
+        say(f"there is no command {visible(argv[0])}")
+        sys.exit(NOT_THERE)
     wanted = Wanted(
         command=argv,
         backend=backend,

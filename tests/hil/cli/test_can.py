@@ -21,6 +21,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.session import run_session
 from tests.waiting import LIMIT_S
+from tests.warm_hil import hil_command
 from transport import SensorPacket, dbc_path, encode_sensor
 from transport.links.python_can import can  # without pandas
 
@@ -167,3 +168,8 @@ def test_a_bridge_to_an_interface_that_is_not_there_and_impossible_rates_are_ref
             words = ["bridge", "cli", name, "--bitrate", rate]
             CliRunner().invoke(can_command, words, catch_exceptions=False, standalone_mode=False)
         assert said in str(caught.value) and ("is it there and up?" in str(caught.value)) is (rate == "500k")
+
+
+def test_a_command_that_is_not_there_is_said_before_a_kernel_is_built(tmp_path: Path) -> None:
+    done = hil_command("vcan", "--", "no-such-program", "--install", cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (127, "", "hil vcan: there is no command no-such-program\n")
