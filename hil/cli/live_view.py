@@ -22,6 +22,7 @@ from hil.measure.summary import percentiles
 from hil.pages.html import text_of
 from hil.pages.live import Records, Tail
 from plants.parts import Signal
+from transport.links.traits import in_short
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -68,7 +69,7 @@ class LiveView:
         self._waits = visible(waits)
         self._on = drawn and self._console.is_terminal and not self._console.is_dumb_terminal
         self._experiment = experiment
-        self._where = "virtual time" if clock == "virtual" else f"real time · {link or experiment.links.uri}"
+        self._where = "virtual time" if clock == "virtual" else f"real time · {in_short(link or experiment.links.uri)}"
         plant = experiment.plant
         self._plant = plant
         self._tracked = tracked_among(plant, [signal.name for signal in plant.outputs])

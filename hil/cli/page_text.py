@@ -16,6 +16,7 @@ import click
 
 from hil.cli.terminal import NARROWEST, Line, answer, console, print_folded, print_lines, print_written, terminal_columns, visible
 from transport.draws import CORRUPTED, CUT, OFF_BUS, REASONS
+from transport.links.traits import in_short
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -143,7 +144,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     def row(name: str, value: object, colour: str | None = None, coloured: int | None = None) -> None:
         lines.append(Line(name=name, value=str(value), colour=colour, coloured=coloured))
 
-    over = f", {summary['link']}" if summary["clock"] == "real" else ""  # in virtual time no frame leaves the process
+    over = f", {in_short(summary['link'])}" if summary["clock"] == "real" else ""  # in virtual time no frame leaves the process
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time{over}")
     took = f", in {summary['wall_s']:.2f} s" if summary["clock"] == "virtual" else ""  # real time waits for its controller, too
     row("ran", f"{summary['slots']} slot{'s' * (summary['slots'] != 1)}, {summary['duration_s']:g} s{took}")

@@ -139,6 +139,7 @@ def run(
     from hil.rig import rig_of
     from hil.rig.session_link import link_of
     from hil.session import run_session
+    from transport.links.traits import in_short
 
     collect_garbage_again()
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
@@ -153,11 +154,11 @@ def run(
     on = link_of(rig_of(checked), link, external=external) if clock == "real" else None
     uri = None if on is None else on.uri
     waits = ""
-    if external:
+    if external and uri is not None:
         from hil.runtime.real.supervisor import EXTERNAL_TIMEOUT_S
 
         limit = "until Ctrl-C" if wait == LONGEST_WAIT_S else f"up to {wait or EXTERNAL_TIMEOUT_S:g} s"
-        waits = f"waiting {limit} for your controller on {uri}"
+        waits = f"waiting {limit} for your controller on {in_short(uri)}"
     signer = None
     if sign is not None:
         from hil.files.signature import Signer

@@ -26,6 +26,7 @@ from hil.pages.html import capital, text_of
 from hil.pages.html.page import Page
 from hil.pages.sections import sections_of
 from hil.pages.sections.time_panels import output_panels
+from transport.links.traits import in_short
 
 MOST_LOGS = 2000
 MOST_FOLDERS = 10_000
@@ -125,7 +126,7 @@ def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Plant", str(resolved.get("plant", {}).get("kind", ""))),
         ("Controller", str(summary["controller"])),
         ("Clock", str(summary["clock"])),
-        ("Link", str(summary["link"]) if summary["clock"] == "real" else ""),  # in virtual time no frame leaves the process
+        ("Link", in_short(summary["link"]) if summary["clock"] == "real" else ""),  # in virtual time no frame leaves the process
         ("Sample period", f"{text_of(1e3 * view.period_s)} ms"),
         ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(slots)} slot{'s' * (slots != 1)}"),
         ("Seed", str(summary["seed"])),

@@ -20,7 +20,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from transport.links import TransportError, key_file, split_uri
-from transport.links.can_identifiers import BASE, Identifiers, base_of, identifiers_of
+from transport.links.can_identifiers import BASE, MESSAGES, Identifiers, base_of, identifiers_of
 
 NO_ONE_ELSE: Final = "no other process: the controller runs in the rig's own"
 
@@ -185,6 +185,17 @@ def address_of(uri: str) -> str:
 def without_options(uri: str) -> str:
     """Return a URI without its options, as a name."""
     return uri.partition("?")[0]
+
+
+def in_short(uri: str) -> str:
+    """Return a URI as a line has room for it: of messages of the controller's own their database alone.
+
+    >>> in_short("can:hil:bench?fd=0&dbc=drive.dbc&outputs=Encoder.Angle&inputs=Drive.U"), in_short("can:hil:rig0?fd=0")
+    ('can:hil:bench?fd=0&dbc=drive.dbc', 'can:hil:rig0?fd=0')
+    """
+    address, _, query = uri.partition("?")
+    kept = [option for option in query.split("&") if option.partition("=")[0] not in MESSAGES[1:]]
+    return "?".join(filter(None, (address, "&".join(kept))))
 
 
 def identifiers_on(uri: str) -> Identifiers:
