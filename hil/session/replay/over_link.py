@@ -104,7 +104,7 @@ def ask_process(
     wire = recorded_wire(run)
     if not recorded:
         raise HilError(f"{source}: holds no answers to compare with")
-    uri = _with_nodes(run, uri, source)
+    uri = _as_in_the_run(run, uri, source, asks=True)
     compared = different = 0
     found: list[Difference] = []
     with opened(uri, "rig") as link:
@@ -172,11 +172,19 @@ def differences(k: int, recorded: ControlPacket, now: ControlPacket | None) -> I
             yield Difference(slot=k, field=field, recorded=str(a), now=str(b))
 
 
-def _with_nodes(run: Run, uri: str, source: str) -> str:
-    """Return a link on which each node of the run has its own CAN identifiers, where the run had more than one."""
-    if not run.resolved.get("network", {}).get("nodes"):
+def _as_in_the_run(run: Run, uri: str, source: str, *, asks: bool) -> str:
+    """Return a link on which the run's nodes have CAN identifiers of their own, where it had more than one.
+
+    Args:
+        run: the log.
+        uri: of the link.
+        source: the log's name, for messages.
+        asks: whether its other end is the controller of the run, which may have messages of its own.
+    """
+    external = asks and run.session.get("external_controller") == "True"
+    if not run.resolved.get("network", {}).get("nodes") and not (external and run.resolved.get("links", {}).get("messages")):
         return uri
-    return link_of(rig_of(experiment_of(run, source)), uri, external=True).uri
+    return link_of(rig_of(experiment_of(run, source)), uri, external=external).uri
 
 
 class Playback(Struct, frozen=True, kw_only=True):
@@ -199,7 +207,7 @@ def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None])
     if begin is None:
         raise HilError("the log has no frames to play")
     errors_us = np.empty(count)
-    uri = _with_nodes(run, uri, "the log")
+    uri = _as_in_the_run(run, uri, "the log", asks=False)
     with opened(uri, "rig") as rig, opened(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)
