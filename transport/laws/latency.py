@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import cycle
+from operator import le
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -217,6 +218,11 @@ def _known(spec: Mapping[str, Any], names: Sequence[str], path: str) -> None:
 def _from_table(rows: object, path: str) -> QuantileTable:
     if isinstance(rows, str) or not isinstance(rows, Sequence) or len(rows) < 2:
         raise FieldError(path, f"got {rows!r}, expected at least two rows [level, duration]")
+    if all(type(row) is tuple and [*map(type, row)] == [float, float] for row in rows):  # as `described` gives it
+        levels, values = (tuple(column) for column in zip(*rows, strict=True))
+        rises = all(map(le, levels, levels[1:])) and all(map(le, values, values[1:]))
+        if rises and levels[0] == 0.0 and levels[-1] == 1.0 and values[0] >= 0.0 and values[-1] < math.inf:
+            return QuantileTable(levels=levels, values_s=values)
     knots: list[tuple[float, float]] = []
     for i, row in enumerate(rows):
         if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != 2:

@@ -70,6 +70,16 @@ def test_tabulated_latencies_are_those_of_scipy(spec: LatencySpec, law: Any) -> 
     assert table.cdf(sample) == pytest.approx(u, abs=1e-4), "values are rounded to 2^-24 of the middle one"
 
 
+@pytest.mark.parametrize("rows", [((0.0, 0.1), (0.5, 0.05), (1.0, 0.2)), ((0.0, 0.1), (0.6, 0.2), (0.5, 0.3), (1.0, 0.4))])
+@pytest.mark.parametrize("form", [tuple, list])
+def test_rows_that_fall_are_refused_as_a_file_or_a_prepared_law_gives_them(rows: Any, form: Callable[[Any], Any]) -> None:
+    with pytest.raises(FieldError, match="falls below the row before"):
+        PacketLaw(latency={"table": form(form(row) for row in rows)})
+    for last in ((1.0, math.inf), (0.9, 0.5)):
+        with pytest.raises(FieldError, match=r"expected (a finite duration|levels from 0 to 1)"):
+            PacketLaw(latency={"table": form(form(row) for row in ((0.0, 0.1), last))})
+
+
 @pytest.mark.parametrize("name", SHAPES)
 def test_quantiles_of_common_laws_are_those_of_scipy_stats(name: str) -> None:
     for shape in (0.3, 1.0, 4.0)[: 1 + 2 * len(SHAPES[name])]:
