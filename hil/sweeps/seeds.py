@@ -51,7 +51,9 @@ def copied(loop: Loop) -> Loop:
     return copy
 
 
-def refuse_other_numbers(loop: Loop, alone: Sequence[Mapping[str, float]], swept: Sequence[Mapping[str, float]]) -> None:
+def refuse_other_numbers(
+    loop: Loop, alone: Sequence[Mapping[str, float]], swept: Sequence[Mapping[str, float]], *, kept: str = ""
+) -> None:  # fmt: skip
     """Refuse a sweep whose first or last run has other numbers than it has alone.
 
     It is for a loop with a part that is not ours: these two are made alone. Tests hold that a loop of our own parts has the
@@ -62,6 +64,7 @@ def refuse_other_numbers(loop: Loop, alone: Sequence[Mapping[str, float]], swept
         loop: what is swept.
         alone: numbers of runs that were made alone.
         swept: numbers of runs of the sweep, which may lack these seeds.
+        kept: the file that these were taken from; empty: they were computed now.
 
     Raises:
         HilError: with the number that differs most plainly: the first one.
@@ -72,9 +75,12 @@ def refuse_other_numbers(loop: Loop, alone: Sequence[Mapping[str, float]], swept
             other = numbers.get(row["seed"], row)[name]
             if not (value == other or (isnan(value) and isnan(other))):
                 why = "start_batch(), ages_of_batch() or of_batch()" if swept_at_once(loop) else "what is left of it when pickled"
+                where, helps = (f"in {kept}", "keep the runs of what it is now in another file") if kept else (
+                    "in the sweep", f"correct {why}"
+                )  # fmt: skip
                 raise HilError(
                     f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
-                    f"{row['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; correct {why}"
+                    f"{row['seed']:.0f} is {other:.6g} {where} and {value:.6g} in a run of its own; {helps}"
                 )
 
 
@@ -242,6 +248,8 @@ def run_sweep(
         with in_words_of_parts(experiment):  # of one that cannot be pickled, too
             swept = run_seeds(copied(replace(loop, watched=None)), ends)
         refuse_other_numbers(loop, alone, swept)
+        if store:
+            refuse_other_numbers(loop, alone, [*store.rows.values()], kept=f"--resume {store.path}")
     together = swept_at_once(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.slots <= WORTH_WORKERS:
         workers = Workers(backend="serial")

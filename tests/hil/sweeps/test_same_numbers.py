@@ -16,8 +16,9 @@ from design.controllers import LoopModel, RunningController
 from hil.api.experiment_source import load_experiment
 from hil.compose import compose
 from hil.errors import HilError
+from hil.sweeps import SweepStore
 from hil.sweeps.lockstep import supports_batch
-from hil.sweeps.seeds import foreign_parts
+from hil.sweeps.seeds import columns_of, foreign_parts, here, run_sweep
 from plants.dc_motor import DCMotor
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table
 from tests.hil.late_lies import LateTable
@@ -157,6 +158,16 @@ def test_a_part_that_is_another_one_when_pickled_is_refused() -> None:
     loop = load_experiment("dc-motor-h2", plant=Plant(), controller=OtherCopy(), duration=2, **{"limits.state": {}})
     with pytest.raises(HilError, match=r"OtherCopy: a sweep has other numbers than its runs: .* what is left of it when pickled"):
         hil.sweep(loop, runs=2, jobs=1)
+
+
+def test_runs_that_a_file_has_kept_of_another_code_are_refused_before_more_are_kept(tmp_path: Path) -> None:
+    experiment = load_experiment("dc-motor-h2", plant=motor(PlainMotor), duration=2)
+    with SweepStore(tmp_path / "kept", experiment, columns_of(experiment)) as store:
+        run_sweep(experiment, range(2), workers=here(1), store=store)
+        store.rows[0] = store.rows[0] | {"sse": 1.0}
+        with pytest.raises(HilError, match=r"PlainMotor: .* sse of seed 0 is 1 in --resume .*kept and .* in another file"):
+            run_sweep(experiment, range(3), workers=here(1), store=store)
+        assert sorted(store.rows) == [0, 1]
 
 
 def test_ours_are_trusted_by_their_file_and_not_by_a_name() -> None:
