@@ -107,6 +107,22 @@ def check_kind(what: str, value: Any, hint: Any, *, several: bool = False) -> No
     raise HilError(f"{what}: {_shown(value)}; expected {expected}{more}")
 
 
+def waited(wait: float | None, external: bool) -> float | None:
+    """Return how long to wait for an external controller, s, as it is; None for as long as is usual.
+
+    Raises:
+        HilError: there is no external controller, or it is no time.
+    """
+    from hil.rig.session_link import LONGEST_WAIT_S  # of runs in real time
+
+    check_kind("hil.run: wait", wait, float | None)
+    if wait is not None and not external:
+        raise HilError("hil.run: wait: only with external=True; it is how long the rig waits for your program")
+    if wait is not None and not 0.0 < wait <= LONGEST_WAIT_S:
+        raise HilError(f"hil.run: wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s")
+    return wait
+
+
 def _members(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 

@@ -10,7 +10,15 @@ from typing import Any, overload
 import numpy as np
 from msgspec import structs
 
-from hil.api.experiment_source import Source, as_change, checked_arguments, checked_experiment, load_experiment, object_of
+from hil.api.experiment_source import (
+    Source,
+    as_change,
+    checked_arguments,
+    checked_experiment,
+    load_experiment,
+    object_of,
+    waited,
+)  # fmt: skip
 from hil.compose import compose
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
@@ -72,6 +80,7 @@ def run(
     force: bool = False,
     signals: str | None = None,
     external: bool = False,
+    wait: float | None = None,
     **changes: Any,
 ) -> Session:
     """Run an experiment and measure it.
@@ -85,6 +94,7 @@ def run(
         force: replace a log that is there already.
         signals: where subscribers over zenoh read named signals while it runs, such as "zenoh:tcp/127.0.0.1:7448".
         external: an external controller answers on the link.
+        wait: how long the rig waits for it, s; 120 by default.
         changes: path to value, as ``**{"plant.gain": 150}``; `load_experiment` says which take objects, as ``plant=Cart()``. Of
             a loaded experiment plant and controller alone.
 
@@ -97,13 +107,15 @@ def run(
     checked = checked_experiment(source, seed, duration, changes)
     if clock == "virtual" and (link is not None or external):
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
+    how: dict[str, Any] = {"clock": clock, "link": link, "signals": signals}
+    how |= {"external": external, "wait_s": waited(wait, external)}
     if log is not None:
         path = Path(log)
         check_output(path, "a log", ".mcap", force=force, remedy="choose another log=..., or add force=True")
-        return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals, replace=force)
+        return run_session(checked, path=path, replace=force, **how)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         path = Path(folder) / "run.mcap"
-        session = run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
+        session = run_session(checked, path=path, **how)
         run = session.run  # before its file is gone
     return structs.replace(session, log=run, summary=session.summary | {"log": session.summary["log"] | {"path": None}})
 

@@ -131,6 +131,7 @@ class Runner:
         clock: ClockName | None = None,
         link: str | None = None,
         external: bool = False,
+        wait: float | None = None,
         **changes: Any,
     ) -> Session:
         """Run an experiment and return its session: ``.metrics``, ``.arrays`` (numpy, per topic), ``.summary``, ``.status``.
@@ -141,6 +142,7 @@ class Runner:
             seed, duration, clock, link: as in `hil.run`; clock and link default to ``--hil-clock`` and ``--hil-link``. A link
                 that is not given here is shared out among the workers of pytest-xdist.
             external: your own controller answers on the link, in real time; nothing is claimed of its loop.
+            wait: how long the rig waits for it, s; 120 by default.
             changes: path to value, as in `hil.run`.
 
         Raises:
@@ -149,7 +151,7 @@ class Runner:
         from hil.plugins import refuse_shadowed_packages
 
         refuse_shadowed_packages()
-        from hil.api.experiment_source import check_kind, load_experiment
+        from hil.api.experiment_source import check_kind, load_experiment, waited
         from hil.errors import HilError
         from hil.session import ClockName, run_session
 
@@ -165,7 +167,10 @@ class Runner:
             pass  # of an earlier run of this test: it is kept
         if clock == "real" and link is None:
             link = self._shared(self._link or checked.links.uri)
-        session = run_session(checked, clock=clock, link=link or self._link, path=path, external=external, replace=False)
+        wait_s = waited(wait, external)
+        session = run_session(
+            checked, clock=clock, link=link or self._link, path=path, external=external, wait_s=wait_s, replace=False
+        )
         self.sessions.append((session, _changes(set, duration=duration, **changes)))
         if session.status == 130:
             raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too

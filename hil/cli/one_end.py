@@ -17,7 +17,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import PATH, Duration, Questions
-from hil.cli.run import LONGEST_WAIT_S, run, session_options
+from hil.cli.run import run, session_options
 from hil.cli.terminal import Working, answer, json_option, visible
 from hil.errors import HilError, nearest
 
@@ -43,6 +43,8 @@ def rig(ctx: click.Context, /, experiment: str, wait: float | None, **options: o
     The controller is `hil controller EXPERIMENT` elsewhere, or a program of your own: hil new controller NAME --language python
     --for EXPERIMENT. It is `hil run --clock real --external` without a limit to the waiting.
     """
+    from hil.rig.session_link import LONGEST_WAIT_S
+
     wait = LONGEST_WAIT_S if wait is None else wait
     ctx.invoke(run, experiment=experiment, clock="real", external=True, wait=wait, **options)
 

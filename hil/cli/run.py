@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from hil.pages.live.server import LivePage
     from hil.session import Onlooker
 
-LONGEST_WAIT_S = 1e8
 """What `hil rig` waits, s: until Ctrl-C."""
 
 PRIVATE = 0o600  # a log says what a plant did: its user's alone, unless asked otherwise
@@ -137,7 +136,7 @@ def run(
     from hil.cli.page_text import print_summary
     from hil.experiment import load_experiment
     from hil.rig import rig_of
-    from hil.rig.session_link import link_of
+    from hil.rig.session_link import LONGEST_WAIT_S, link_of
     from hil.session import run_session
     from transport.links.traits import in_short
 

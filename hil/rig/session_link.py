@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 from warnings import catch_warnings
 
@@ -25,6 +25,10 @@ from transport.links.traits import CanFraming, LinkTraits, identifiers_on, schem
 
 if TYPE_CHECKING:
     from transport.can_bus_model.disturbances import BusFault
+
+
+LONGEST_WAIT_S: Final = 1e8
+"""For a controller that is not there yet: so long is until Ctrl-C."""
 
 
 class SessionLink(Struct, frozen=True, kw_only=True):

@@ -48,8 +48,8 @@ class Sweep(ShownResult):
         values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
         interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
         interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
-        caution: what is to be said beside the numbers, nothing where all is well: the first run withdrew the certificate, or a
-            mean of squared errors does not converge; see `hil.compose.judged`.
+        caution: what is to be said beside the numbers, nothing where all is well: the loop is not certified, the first run
+            withdrew the certificate, or a mean of squared errors does not converge; see `hil.compose.judged`.
         alone: which measures kept the runs from being computed at once, nothing where none did.
         experiment, quantities: its name, and what it measures.
     """

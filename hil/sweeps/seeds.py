@@ -280,7 +280,9 @@ def run_sweep(
     refuse_other_numbers(loop, alone, rows)
     unseen = interrupted or not rows or (together and not alone)
     said = "" if unseen else withdrawal(simulate(loop, int(rows[0]["seed"]), (EVENTS_TOPIC,))) or ""
-    cautions = "; ".join(filter(None, (said, caution(loop))))
+    judged = loop.verdict
+    doubt = "" if judged is None or judged.certified else f"the loop is {judged.state}, {judged.kind}: {judged.reason}"
+    cautions = "; ".join(filter(None, (doubt, said, caution(loop))))
     return Sweep(
         Named("column", values), interrupted, interval, reached, cautions, measured_alone(loop), experiment.name,
         quantities_in(experiment),

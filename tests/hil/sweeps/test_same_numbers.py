@@ -176,6 +176,13 @@ def test_ours_are_trusted_by_their_file_and_not_by_a_name() -> None:
     assert foreign_parts(compose(load_experiment("dc-motor-h2", plant=motor(named)))) == ("DCMotor",)
 
 
+@pytest.mark.parametrize(("gain", "state"), [(-1.2, "refused"), (-0.1, None)])
+def test_a_sweep_over_a_loop_that_is_not_certified_says_so(gain: float, state: str | None) -> None:
+    changes = {"controller.gain": [[gain]], "allow_uncertified": True, "duration": 1, "limits.state": {}}
+    said = hil.sweep("dc-motor-local", runs=2, jobs=1, **changes).caution
+    assert said.startswith(f"the loop is {state}, mean-square stability: ") if state else said == ""
+
+
 def test_a_run_at_once_is_compared_with_its_model_too() -> None:
     class Late(LateTable):
         def start_batch(self, model: LoopModel, runs: int) -> None:
