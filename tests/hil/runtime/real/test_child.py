@@ -127,7 +127,8 @@ def test_a_child_that_ends_is_noticed_by_its_parent_and_leaves_no_descriptor(
     assert not child.wait(0.0)
     assert child.wait(60.0) and child.wait(60.0) and child.poll() == 5
     assert len(os.listdir("/proc/self/fd")) == before
-    hanging = Child("rig", "time", 60.0, dump=lambda job, stream: None)
+    (tmp_path / "own_part_of_a_child.py").write_text(PART.format(end="time.sleep(600)"))
+    hanging = Child("rig", "own_part_of_a_child", 7, folders=[str(tmp_path)])
     hanging.kill()
     assert len(os.listdir("/proc/self/fd")) == before and hanging.how().endswith("was killed by SIGKILL")
 
