@@ -206,7 +206,7 @@ class HistoryGains(Protocol):
         """Return K[phase, j, m, p]; a phase is a turn of the cycle, or the node whose packet has just come."""
 
 
-class Said(type(Protocol)):  # type: ignore[misc]
+class AttributeProtocol(type(Protocol)):  # type: ignore[misc]
     """Looks for what a protocol of attributes alone names, as isinstance does, in a twentieth of the time of Python 3.11."""
 
     def __instancecheck__(cls, instance: object) -> bool:
@@ -216,7 +216,7 @@ class Said(type(Protocol)):  # type: ignore[misc]
 
 
 @runtime_checkable
-class SeveralSamples(Protocol, metaclass=Said):
+class SeveralSamples(Protocol, metaclass=AttributeProtocol):
     """A controller that is sent more than the newest sample."""
 
     samples: int
@@ -224,7 +224,7 @@ class SeveralSamples(Protocol, metaclass=Said):
 
 
 @runtime_checkable
-class IntegralAction(Protocol, metaclass=Said):
+class IntegralAction(Protocol, metaclass=AttributeProtocol):
     """A controller that may integrate the measured error: its gains have as many columns more as there are outputs."""
 
     integral: bool | float
@@ -232,7 +232,7 @@ class IntegralAction(Protocol, metaclass=Said):
 
 
 @runtime_checkable
-class ClampedIntegral(Protocol, metaclass=Said):
+class ClampedIntegral(Protocol, metaclass=AttributeProtocol):
     """A controller whose sums of errors are clamped."""
 
     integral_limit: Sequence[float]
@@ -240,7 +240,7 @@ class ClampedIntegral(Protocol, metaclass=Said):
 
 
 @runtime_checkable
-class OwnState(Protocol, metaclass=Said):
+class OwnState(Protocol, metaclass=AttributeProtocol):
     """A table of gains with a state xi of the controller's own, of size c: its gains have c columns more, of xi."""
 
     state_gains: StateGains
@@ -248,7 +248,7 @@ class OwnState(Protocol, metaclass=Said):
 
 
 @runtime_checkable
-class SojournDependent(Protocol, metaclass=Said):
+class SojournDependent(Protocol, metaclass=AttributeProtocol):
     """A controller whose gains depend on how long the measured delay has lasted."""
 
     sojourns: int | Sequence[int]
@@ -256,7 +256,7 @@ class SojournDependent(Protocol, metaclass=Said):
 
 
 @runtime_checkable
-class RowsOfStays(Protocol, metaclass=Said):
+class RowsOfStays(Protocol, metaclass=AttributeProtocol):
     """A controller whose packets have a row for every d and for how long it has lasted, by the rule ``applied``."""
 
     row_sojourns: int
@@ -264,7 +264,7 @@ class RowsOfStays(Protocol, metaclass=Said):
 
 
 @runtime_checkable
-class DistinguishesAges(Protocol, metaclass=Said):
+class DistinguishesAges(Protocol, metaclass=AttributeProtocol):
     """A table of gains that distinguishes the ages of several sensor nodes."""
 
     ages: Sequence[int]
