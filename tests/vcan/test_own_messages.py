@@ -11,9 +11,10 @@ from hil.session.replay.over_link import ask_process
 from tests.realtime.test_own_messages import ONE_BIT_V, bench, block, drive, laws_and_commands, run_of
 
 pytest_plugins = ["pytester"]
-pytestmark = [pytest.mark.vcan, pytest.mark.usefixtures("virtual_time")]
+pytestmark = pytest.mark.vcan
 
 
+@pytest.mark.usefixtures("virtual_time")
 def test_over_a_real_vcan_each_sample_has_the_command_of_its_law_and_the_motor_tracks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -30,6 +31,7 @@ def test_over_a_real_vcan_each_sample_has_the_command_of_its_law_and_the_motor_t
     assert again.compared > 100 and again.different == 0, again.differences
 
 
+@pytest.mark.usefixtures("virtual_time")
 def test_the_test_of_the_guide_passes_over_a_real_vcan(pytester: pytest.Pytester) -> None:
     experiment = bench(pytester.path)
     experiment.write_text(experiment.read_text().replace('"can:hil:bench"', '"can:socketcan:vcan0"'))
